@@ -1,0 +1,1 @@
+"""`cs3d`: validate and evaluate offline, submit and watch online."""

@@ -1,0 +1,1 @@
+"""The record (database, blobs, lifecycle, ranking) and its two faces (REST, pages)."""

@@ -1,0 +1,1 @@
+"""Celery: claim -> evaluate -> record."""
