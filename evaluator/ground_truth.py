@@ -1,15 +1,37 @@
-"""Ground truth as arrays: cameras, boxes and ignore regions of a set of images."""
+"""Ground truth as arrays: cameras, boxes and ignore regions of a set of images; reading and storing it."""
 
-from dataclasses import dataclass
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path, PurePosixPath
+from typing import Any, Self
 
+import msgspec
+import numpy as np
+
+from evaluator import array_file, ground_truth_json
 from evaluator.errors import DataError
 from evaluator.predictions import Float64Array, IndexArray
+
+_LISTED_PROBLEMS = 50
+"""Problems printed one by one in an error message; the rest are counted."""
 
 
 class GroundTruthError(DataError):
     """The ground truth cannot be used; the message lists every file and place that is wrong."""
 
     code = "invalid_ground_truth"
+
+
+class ImageList(msgspec.Struct, frozen=True, kw_only=True):
+    """The public part of ground truth: which images there are, and their cameras."""
+
+    images: tuple[str, ...]
+    """Image names, sorted."""
+    intrinsics_px: tuple[tuple[float, float, float, float], ...]
+    """fx, fy, u0, v0 for each image."""
+    sensor_from_vehicle: tuple[tuple[tuple[float, float, float, float], ...], ...]
+    """3 x 4 for each image."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,3 +77,153 @@ class GroundTruth:
     def __len__(self) -> int:
         """Count the boxes."""
         return len(self.image_index)
+
+    def image_list(self) -> ImageList:
+        """Return what participants may know: names and cameras, no boxes."""
+        return ImageList(
+            images=self.images,
+            intrinsics_px=tuple(map(tuple, self.intrinsics_px.tolist())),
+            sensor_from_vehicle=tuple(tuple(map(tuple, matrix)) for matrix in self.sensor_from_vehicle.tolist()),
+        )
+
+    def to_bytes(self) -> bytes:
+        """Write everything to deterministic bytes (evaluator/array_file.py), for a blob named by its digest."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+        return array_file.pack({name: values[name] for name in values.keys() - arrays.keys()}, arrays)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read what `to_bytes` wrote.
+
+        Raises:
+            ArrayFileError: The bytes are something else or are cut short.
+        """
+        facts, arrays = array_file.unpack(data)
+        if facts.keys() | arrays.keys() != {field.name for field in fields(cls)}:
+            raise array_file.ArrayFileError("The array file does not hold ground truth; import the ground truth again.")
+        values: dict[str, Any] = {**{name: tuple(value) for name, value in facts.items()}, **arrays}
+        return cls(**values)
+
+
+def image_name(file_name: str) -> str | None:
+    """Return the image a file belongs to: its base name up to the last "_" (reference: `loadGT`).
+
+    None for a name without "_", which belongs to no image.
+    """
+    base, separator, _ = PurePosixPath(file_name).name.rpartition("_")
+    return base if separator and base else None
+
+
+def read_ground_truth(source: Path) -> GroundTruth:
+    """Read a folder or zip of `<city>_<sequence>_<frame>_<anything>.json` files, in any sub folders.
+
+    Args:
+        source: A folder or a zip file.
+
+    Returns:
+        The ground truth of all images, sorted by name.
+
+    Raises:
+        GroundTruthError: Files are missing, unreadable or wrong; all of them are listed.
+    """
+    documents: dict[str, ground_truth_json.Document] = {}
+    found: list[str] = []
+    for file_name, data in _json_files(source):
+        image = image_name(file_name)
+        if image is None:
+            found.append(f"{file_name}: name it <city>_<sequence>_<frame>_gtBbox3d.json")
+        elif image in documents:
+            found.append(f"{file_name}: a second file for image {image}; keep one")
+        else:
+            documents[image] = _decode(file_name, data, found)
+    if not documents and not found:
+        found.append(f"{source}: no *_gtBbox3d.json files in there")
+    if found:
+        raise GroundTruthError(_message(found))
+    return _assemble(dict(sorted(documents.items())))
+
+
+def _json_files(source: Path) -> Iterator[tuple[str, bytes]]:
+    if source.is_dir():
+        for path in sorted(source.rglob("*.json")):
+            if _is_wanted(path.name):
+                yield str(path.relative_to(source)), path.read_bytes()
+    elif zipfile.is_zipfile(source):
+        with zipfile.ZipFile(source) as archive:
+            for name in sorted(archive.namelist()):
+                if _is_wanted(PurePosixPath(name).name):
+                    yield name, archive.read(name)
+    else:
+        raise GroundTruthError(f"{source} is neither a folder nor a zip file; give one of the two.")
+
+
+def _is_wanted(name: str) -> bool:
+    """Tell ground truth from results lying beside it (`getFiles` skips them too) and from macOS's `._` files."""
+    return name.endswith(".json") and name != "results.json" and not name.startswith("._")
+
+
+def _decode(file_name: str, data: bytes, found: list[str]) -> ground_truth_json.Document:
+    try:
+        document = ground_truth_json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        found.append(f"{file_name}: {error}")
+        return _EMPTY
+    found.extend(f"{file_name}: {problem}" for problem in ground_truth_json.problems(document))
+    return document
+
+
+_EMPTY = ground_truth_json.Document(
+    sensor=ground_truth_json.Sensor(1, 1, 0, 0, ((0, 0, 0, 0), (0, 0, 0, 0), (0, 0, 0, 0))), objects=[], ignore=[]
+)
+"""Stands in for a file that does not decode, while the rest is checked."""
+
+
+def _message(found: list[str]) -> str:
+    listed = "\n".join(f"  {problem}" for problem in found[:_LISTED_PROBLEMS])
+    rest = len(found) - _LISTED_PROBLEMS
+    return f"The ground truth has {len(found)} problems:\n{listed}" + (f"\n  and {rest} more" if rest > 0 else "")
+
+
+def _assemble(documents: dict[str, ground_truth_json.Document]) -> GroundTruth:
+    objects = [(index, item) for index, file in enumerate(documents.values()) for item in file.objects]
+    regions = [(index, item) for index, file in enumerate(documents.values()) for item in file.ignore]
+    labels = sorted({item.label for _, item in objects})
+    prototypes = sorted({item.box_3d.type for _, item in objects if item.box_3d.type is not None})
+    boxes_2d = [item.box_2d.amodal_and_modal() for _, item in objects]
+    sensors = [file.sensor for file in documents.values()]
+    return GroundTruth(
+        images=tuple(documents),
+        labels=tuple(labels),
+        prototypes=tuple(prototypes),
+        intrinsics_px=_rows([(s.fx, s.fy, s.u0, s.v0) for s in sensors], 4),
+        sensor_from_vehicle=_rows([s.sensor_T_ISO_8855 for s in sensors], 3, 4),
+        image_index=_indices([index for index, _ in objects]),
+        label_index=_indices([labels.index(item.label) for _, item in objects]),
+        prototype_index=_indices([_position(prototypes, item.box_3d.type) for _, item in objects]),
+        center_m=_rows([item.box_3d.center for _, item in objects], 3),
+        dimensions_m=_rows([item.box_3d.dimensions for _, item in objects], 3),
+        rotation=_rows([item.box_3d.rotation for _, item in objects], 4),
+        amodal_px=_rows([box and box[0] for box in boxes_2d], 4),
+        modal_px=_rows([box and box[1] for box in boxes_2d], 4),
+        occlusion=_rows([_or_nan(item.occlusion) for _, item in objects]),
+        truncation=_rows([_or_nan(item.truncation) for _, item in objects]),
+        ignore_image_index=_indices([index for index, _ in regions]),
+        ignore_px=_rows([item.box_2d for _, item in regions], 4),
+    )
+
+
+def _position(names: list[str], name: str | None) -> int:
+    return -1 if name is None else names.index(name)
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _indices(values: list[int]) -> IndexArray:
+    return np.array(values, dtype=np.int32)
+
+
+def _rows(values: list[Any], *shape: int) -> Float64Array:
+    return np.array(values, dtype=np.float64).reshape(-1, *shape)
