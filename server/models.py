@@ -320,6 +320,10 @@ class Submission(Base):
     """Raised by every visible change; the ETag."""
     attempt: Mapped[int] = mapped_column(default=0)
     """Number of the latest claim: the fence every write of a worker carries."""
+    forgiven_attempts: Mapped[int] = mapped_column(default=0)
+    """Attempts up to this number no longer count against the phase's cap: a maintainer re-queued."""
+    idempotency_key: Mapped[str | None] = mapped_column(sa.String(255))
+    """Chosen by the uploader; the same key again gives the same submission."""
     lease_expires_at: Mapped[datetime | None]
     """Set exactly while a worker holds the submission; the database's clock."""
     enqueued_at: Mapped[datetime | None]
@@ -366,6 +370,8 @@ class Submission(Base):
         sa.CheckConstraint("(state = 'failed') = (failure_code IS NOT NULL)", name="failure_code_matches"),
         sa.CheckConstraint("state NOT IN ('rejected', 'scored') OR report_sha256 IS NOT NULL", name="report_kept"),
         sa.CheckConstraint("attempt >= 0", name="attempt_not_negative"),
+        sa.CheckConstraint("forgiven_attempts BETWEEN 0 AND attempt", name="forgiven_attempts_happened"),
+        sa.UniqueConstraint("user_id", "idempotency_key"),
     )
 
 
@@ -377,7 +383,9 @@ class AttemptOutcome(StrEnum):
     REJECTED = "rejected"
     FAILED = "failed"
     LOST = "lost"
-    """The lease expired, or the worker gave the submission back."""
+    """The lease expired or the scoring process died; counts against the phase's cap."""
+    RETURNED = "returned"
+    """The worker gave the submission back unharmed (it was told to stop), or the owner cancelled; does not count."""
 
 
 class Attempt(Base):
@@ -459,6 +467,8 @@ class QuotaEntry(Base):
             name="amount_matches_kind",
         ),
         sa.CheckConstraint("(kind = 'grant') = (submission_id IS NULL)", name="submission_unless_grant"),
+        # Reserved once, charged once, refunded once, whatever is delivered twice.
+        sa.UniqueConstraint("submission_id", "kind"),
     )
 
 

@@ -1,0 +1,252 @@
+"""Users, teams and tokens: who may act, and how they prove who they are."""
+
+import hashlib
+import re
+import secrets
+from datetime import datetime
+from functools import cache
+
+import argon2
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from server import audit, database
+from server.errors import Conflict, Forbidden, InvalidField, NotAuthenticated, NotFound
+from server.models import Membership, Team, Token, User
+
+SECRET_PREFIX = "cs3d_"  # noqa: S105 - the public beginning of every token, so that leaked ones can be found
+MIN_PASSWORD_LENGTH = 10
+SLUG = re.compile(r"[a-z0-9](?:[a-z0-9._-]{0,62}[a-z0-9])?")
+
+
+def checked_slug(field: str, slug: str) -> str:
+    """Return `slug` if it can stand in a URL.
+
+    Raises:
+        InvalidField: It cannot.
+    """
+    if not SLUG.fullmatch(slug):
+        message = (
+            f"{field} {slug[:80]!r} cannot be used: give 1 to 64 lower-case letters, digits, dots, hyphens or"
+            " underscores, the first and the last a letter or a digit"
+        )
+        raise InvalidField(message)
+    return slug
+
+
+def checked_text(field: str, text: str, *, max_length: int) -> str:
+    """Return `text` without space at its ends if it has 1 to `max_length` printable characters.
+
+    Raises:
+        InvalidField: It has not.
+    """
+    text = text.strip()
+    if not 1 <= len(text) <= max_length or not text.isprintable():
+        message = f"{field} must have 1 to {max_length} printable characters"
+        raise InvalidField(message)
+    return text
+
+
+@cache
+def _hasher() -> argon2.PasswordHasher:
+    return argon2.PasswordHasher()
+
+
+@cache
+def _no_password_hash() -> str:
+    """Give a hash that is checked when there is none, so that a wrong e-mail address takes as long as a wrong password."""
+    return _hasher().hash(secrets.token_urlsafe(16))
+
+
+def create_user(
+    session: Session, *, email: str, name: str, password: str | None, is_maintainer: bool = False, actor: str
+) -> User:
+    """Create an account. Takes about 0.3 s when there is a password: keep it off the event loop.
+
+    Raises:
+        InvalidField: The address or the password cannot be used.
+        Conflict: There is an account with this address.
+    """
+    email = checked_text("email", email, max_length=254).lower()
+    if not re.fullmatch(r"[^@\s]+@[^@\s]+", email):
+        message = f"email {email!r} is not an address; give one like name@example.org"
+        raise InvalidField(message)
+    if session.scalar(sa.select(User.id).where(User.email == email)):
+        message = f"there is an account for {email}; log in with it or use another address"
+        raise Conflict(message)
+    user = User(
+        email=email,
+        name=checked_text("name", name, max_length=200),
+        password_hash=None if password is None else hash_password(password),
+        is_maintainer=is_maintainer,
+        created_at=database.now(session),
+    )
+    session.add(user)
+    session.flush()
+    audit.record(session, actor=actor, action="user.created", subject=audit.subject_of(user), maintainer=is_maintainer)
+    return user
+
+
+def hash_password(password: str) -> str:
+    """Hash a new password with Argon2id; about 0.3 s.
+
+    Raises:
+        InvalidField: It is too short.
+    """
+    if len(password) < MIN_PASSWORD_LENGTH:
+        message = f"password must have at least {MIN_PASSWORD_LENGTH} characters"
+        raise InvalidField(message)
+    return _hasher().hash(password)
+
+
+def set_password(session: Session, user: User, password: str, *, actor: str) -> None:
+    """Replace a user's password."""
+    user.password_hash = hash_password(password)
+    audit.record(session, actor=actor, action="user.password_set", subject=audit.subject_of(user))
+
+
+def create_team(session: Session, *, slug: str, name: str, members: list[User], actor: str) -> Team:
+    """Create a team with its first members.
+
+    Raises:
+        Conflict: The slug is taken.
+    """
+    slug = checked_slug("team", slug)
+    if session.scalar(sa.select(Team.id).where(Team.slug == slug)):
+        message = f"there is a team {slug!r}; choose another name"
+        raise Conflict(message)
+    team = Team(slug=slug, name=checked_text("name", name, max_length=200), created_at=database.now(session))
+    session.add(team)
+    session.flush()
+    audit.record(session, actor=actor, action="team.created", subject=audit.subject_of(team), slug=slug)
+    for user in members:
+        add_member(session, team, user, actor=actor)
+    return team
+
+
+def add_member(session: Session, team: Team, user: User, *, actor: str) -> None:
+    """Put a user into a team; nothing happens when the user is in it."""
+    if session.get(Membership, (team.id, user.id)):
+        return
+    session.add(Membership(team_id=team.id, user_id=user.id, created_at=database.now(session)))
+    session.flush()
+    audit.record(session, actor=actor, action="team.joined", subject=audit.subject_of(team), user=user.id)
+
+
+def is_member(session: Session, *, team_id: int, user_id: int) -> bool:
+    """Say whether the user is in the team."""
+    return session.get(Membership, (team_id, user_id)) is not None
+
+
+def teams_of(session: Session, user: User) -> list[Team]:
+    """List a user's teams by name."""
+    return list(
+        session.scalars(sa.select(Team).join(Membership).where(Membership.user_id == user.id).order_by(Team.name))
+    )
+
+
+def create_token(
+    session: Session, *, user: User, team: Team, name: str, expires_at: datetime | None, actor: str
+) -> tuple[Token, str]:
+    """Create an API token.
+
+    Returns:
+        The row and the secret. The secret is shown now or never: only its SHA-256 is kept.
+
+    Raises:
+        Forbidden: The user is not in the team.
+    """
+    if not is_member(session, team_id=team.id, user_id=user.id):
+        message = f"{user.email} is not in team {team.slug}; a maintainer can add members"
+        raise Forbidden(message)
+    secret = SECRET_PREFIX + secrets.token_urlsafe(32)
+    token = Token(
+        user=user,
+        team=team,
+        name=checked_text("name", name, max_length=200),
+        secret_sha256=_digest(secret),
+        created_at=database.now(session),
+        expires_at=expires_at,
+    )
+    session.add(token)
+    session.flush()
+    audit.record(session, actor=actor, action="token.created", subject=audit.subject_of(token), user=user.id)
+    return token, secret
+
+
+def revoke_token(session: Session, token: Token, *, actor: str) -> None:
+    """End a token; nothing happens when it was ended before."""
+    if token.revoked_at is None:
+        token.revoked_at = database.now(session)
+        audit.record(session, actor=actor, action="token.revoked", subject=audit.subject_of(token))
+
+
+def authenticate_token(session: Session, secret: str) -> Token:
+    """Find who a bearer token stands for.
+
+    Raises:
+        NotAuthenticated: The token is unknown, expired or revoked, or its user is disabled or left the team.
+    """
+    token = session.scalar(sa.select(Token).where(Token.secret_sha256 == _digest(secret)))
+    if token is None or not _usable(session, token):
+        message = "the token is unknown, expired or revoked; create a new one on your account page"
+        raise NotAuthenticated(message)
+    return token
+
+
+def _usable(session: Session, token: Token) -> bool:
+    if token.revoked_at is not None or token.user.disabled_at is not None:
+        return False
+    if token.expires_at is not None and token.expires_at <= database.now(session):
+        return False
+    return is_member(session, team_id=token.team_id, user_id=token.user_id)
+
+
+def authenticate_password(session: Session, email: str, password: str) -> User:
+    """Find the user with this address and password. Takes about 0.3 s: keep it off the event loop.
+
+    Raises:
+        NotAuthenticated: There is no such user, the password is wrong or the account is disabled.
+    """
+    user = session.scalar(sa.select(User).where(User.email == email.strip().lower()))
+    known_hash = user.password_hash if user else None
+    try:
+        _hasher().verify(known_hash or _no_password_hash(), password)
+    except argon2.exceptions.VerificationError as error:
+        raise NotAuthenticated(_WRONG_LOGIN) from error
+    if user is None or known_hash is None or user.disabled_at is not None:
+        raise NotAuthenticated(_WRONG_LOGIN)
+    return user
+
+
+_WRONG_LOGIN = "e-mail address or password is wrong; a maintainer can set a new password"
+
+
+def find_user(session: Session, email: str) -> User:
+    """Find a user by e-mail address.
+
+    Raises:
+        NotFound: There is none.
+    """
+    user = session.scalar(sa.select(User).where(User.email == email.strip().lower()))
+    if user is None:
+        message = f"there is no user {email!r}; create it with `cs3d-admin create-user`"
+        raise NotFound(message)
+    return user
+
+
+def find_team(session: Session, slug: str) -> Team:
+    """Find a team by its slug.
+
+    Raises:
+        NotFound: There is none.
+    """
+    team = session.scalar(sa.select(Team).where(Team.slug == slug))
+    if team is None:
+        message = f"there is no team {slug!r}; create it with `cs3d-admin create-team`"
+        raise NotFound(message)
+    return team
+
+
+def _digest(secret: str) -> str:
+    return hashlib.sha256(secret.encode("utf-8", "surrogatepass")).hexdigest()

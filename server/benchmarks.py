@@ -1,0 +1,260 @@
+"""Benchmarks, their phases and the versions of their hidden ground truth."""
+
+import io
+import zipfile
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy.orm import Session, joinedload
+
+from evaluator.ground_truth import read_ground_truth
+from evaluator.protocol import CITYSCAPES3D, PROTOCOLS
+from server import audit, database
+from server.accounts import checked_slug, checked_text
+from server.blobs import Blobs, record_blob
+from server.errors import Conflict, InvalidField, NotFound
+from server.models import Benchmark, GroundTruthVersion, Phase, Publication, Score, Submission, SubmissionState
+
+ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+"""The time every member of a canonical zip carries, so that equal files give equal bytes."""
+
+
+def create_benchmark(session: Session, *, slug: str, title: str, description: str = "", actor: str) -> Benchmark:
+    """Create a benchmark without phases.
+
+    Raises:
+        Conflict: The slug is taken.
+    """
+    slug = checked_slug("benchmark", slug)
+    if session.scalar(sa.select(Benchmark.id).where(Benchmark.slug == slug)):
+        message = f"there is a benchmark {slug!r}; choose another name"
+        raise Conflict(message)
+    benchmark = Benchmark(
+        slug=slug,
+        title=checked_text("title", title, max_length=200),
+        description=description,
+        created_at=database.now(session),
+    )
+    session.add(benchmark)
+    session.flush()
+    audit.record(session, actor=actor, action="benchmark.created", subject=audit.subject_of(benchmark), slug=slug)
+    return benchmark
+
+
+def create_phase(
+    session: Session,
+    *,
+    benchmark: Benchmark,
+    slug: str,
+    title: str,
+    actor: str,
+    protocol: str = CITYSCAPES3D.name,
+    is_open: bool = False,
+    allows_publication: bool = True,
+    opens_at: datetime | None = None,
+    closes_at: datetime | None = None,
+    submissions_per_day: int = 10,
+    rejections_per_day: int = 50,
+    max_attempts: int = 3,
+) -> Phase:
+    """Create a phase; it takes submissions once it has ground truth.
+
+    Raises:
+        Conflict: The benchmark has a phase of this name.
+        InvalidField: There is no such protocol, or a number is out of range.
+    """
+    slug = checked_slug("phase", slug)
+    if session.scalar(sa.select(Phase.id).where(Phase.benchmark_id == benchmark.id, Phase.slug == slug)):
+        message = f"benchmark {benchmark.slug} has a phase {slug!r}; choose another name"
+        raise Conflict(message)
+    if protocol not in PROTOCOLS:
+        message = f"there is no protocol {protocol!r}; choose one of {', '.join(PROTOCOLS)}"
+        raise InvalidField(message)
+    if min(submissions_per_day, rejections_per_day) < 0 or max_attempts < 1:
+        raise InvalidField("submissions_per_day and rejections_per_day must not be negative, max_attempts at least 1")
+    phase = Phase(
+        benchmark=benchmark,
+        slug=slug,
+        title=checked_text("title", title, max_length=200),
+        protocol=protocol,
+        is_open=is_open,
+        allows_publication=allows_publication,
+        opens_at=opens_at,
+        closes_at=closes_at,
+        submissions_per_day=submissions_per_day,
+        rejections_per_day=rejections_per_day,
+        max_attempts=max_attempts,
+        created_at=database.now(session),
+    )
+    session.add(phase)
+    session.flush()
+    audit.record(session, actor=actor, action="phase.created", subject=audit.subject_of(phase), slug=slug)
+    return phase
+
+
+def find_benchmark(session: Session, slug: str) -> Benchmark:
+    """Find a benchmark with its phases.
+
+    Raises:
+        NotFound: There is none.
+    """
+    query = sa.select(Benchmark).where(Benchmark.slug == slug).options(joinedload(Benchmark.phases))
+    benchmark = session.scalars(query).unique().one_or_none()
+    if benchmark is None:
+        message = f"there is no benchmark {slug[:80]!r}; `GET /api/v1/benchmarks` lists them"
+        raise NotFound(message)
+    return benchmark
+
+
+def list_benchmarks(session: Session) -> list[Benchmark]:
+    """List every benchmark with its phases, oldest first."""
+    query = sa.select(Benchmark).options(joinedload(Benchmark.phases)).order_by(Benchmark.id)
+    return list(session.scalars(query).unique())
+
+
+def find_phase(session: Session, benchmark_slug: str, phase_slug: str) -> Phase:
+    """Find a phase with its benchmark and the ground truth in force.
+
+    Raises:
+        NotFound: There is none.
+    """
+    query = (
+        sa.select(Phase)
+        .join(Phase.benchmark)
+        .where(Benchmark.slug == benchmark_slug, Phase.slug == phase_slug)
+        .options(joinedload(Phase.benchmark), joinedload(Phase.ground_truth))
+    )
+    phase = session.scalars(query).one_or_none()
+    if phase is None:
+        message = f"there is no phase {phase_slug[:80]!r} in benchmark {benchmark_slug[:80]!r}"
+        raise NotFound(message)
+    return phase
+
+
+def import_ground_truth(
+    session: Session, blobs: Blobs, *, phase: Phase, source: Path, actor: str, imported_by: int | None = None
+) -> GroundTruthVersion:
+    """Validate ground truth and add it to the phase as its next version.
+
+    The first version is in force at once, and so is a later one as long as nothing is published in the phase.
+    Otherwise the published submissions must be scored on it before `enforce_ground_truth` lets it rank.
+
+    Args:
+        session: Of the transaction.
+        blobs: Where its bytes are kept.
+        phase: The phase it belongs to.
+        source: A folder or zip of `*_gtBbox3d.json`.
+        actor: Who imports it, for the audit trail.
+        imported_by: The user's id, where one is known.
+
+    Raises:
+        GroundTruthError: It cannot be used; every problem is listed.
+        Conflict: The version in force is the same.
+    """
+    ground_truth = read_ground_truth(source)
+    prepared = ground_truth.to_bytes()
+    digests = {
+        "sha256": _keep(session, blobs, prepared),
+        "source_sha256": _keep(session, blobs, canonical_zip(source)),
+        "image_list_sha256": _keep(session, blobs, msgspec.json.encode(ground_truth.image_list())),
+    }
+    if phase.ground_truth is not None and phase.ground_truth.sha256 == digests["sha256"]:
+        message = f"this is version {phase.ground_truth.version}, which is in force already; nothing was imported"
+        raise Conflict(message)
+    latest = session.scalar(
+        sa.select(sa.func.max(GroundTruthVersion.version)).where(GroundTruthVersion.phase_id == phase.id)
+    )
+    version = GroundTruthVersion(
+        phase_id=phase.id,
+        version=(latest or 0) + 1,
+        **digests,
+        image_count=len(ground_truth.images),
+        box_count=len(ground_truth),
+        imported_by=imported_by,
+        created_at=database.now(session),
+    )
+    session.add(version)
+    session.flush()
+    audit.record(
+        session,
+        actor=actor,
+        action="ground_truth.imported",
+        subject=audit.subject_of(phase),
+        version=version.version,
+        sha256=version.sha256,
+    )
+    if not _published_without_score(session, phase, version):
+        enforce_ground_truth(session, phase, version, actor=actor)
+    return version
+
+
+def enforce_ground_truth(session: Session, phase: Phase, version: GroundTruthVersion, *, actor: str) -> None:
+    """Let a version rank from now on, for the whole leaderboard at once.
+
+    Raises:
+        Conflict: A published submission has no score on it.
+    """
+    if missing := _published_without_score(session, phase, version):
+        message = f"{missing} published submissions have no score on version {version.version}; score them first"
+        raise Conflict(message)
+    phase.ground_truth = version
+    audit.record(
+        session,
+        actor=actor,
+        action="ground_truth.enforced",
+        subject=audit.subject_of(phase),
+        version=version.version,
+    )
+    session.flush()
+
+
+def _published_without_score(session: Session, phase: Phase, version: GroundTruthVersion) -> int:
+    """Count the published submissions that would lose their row."""
+    scored = sa.exists().where(
+        Score.submission_id == Submission.id,
+        Score.ground_truth_id == version.id,
+        Score.protocol == phase.protocol,
+    )
+    query = sa.select(sa.func.count()).where(
+        Submission.phase_id == phase.id,
+        Submission.state == SubmissionState.SCORED,
+        Submission.publication == Publication.PUBLISHED,
+        ~scored,
+    )
+    return session.scalar(query) or 0
+
+
+def _keep(session: Session, blobs: Blobs, data: bytes) -> str:
+    """Put `data` into the store and make it known to the record."""
+    sha256 = blobs.put_bytes(data)
+    record_blob(session, blobs, sha256, len(data))
+    return sha256
+
+
+def canonical_zip(source: Path) -> bytes:
+    """Pack the JSON files of a folder or zip so that equal files give equal bytes: sorted, dateless, normalised names.
+
+    Two files of one name in different folders cannot both be ground truth; `read_ground_truth` refused them before.
+    """
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        for name, data in sorted(_json_files(source).items()):
+            member = zipfile.ZipInfo(name, ZIP_EPOCH)
+            member.compress_type = zipfile.ZIP_DEFLATED
+            member.external_attr = 0o644 << 16
+            archive.writestr(member, data)
+    return buffer.getvalue()
+
+
+def _json_files(source: Path) -> dict[str, bytes]:
+    """Read every JSON file of a folder or zip, by base name."""
+    if source.is_dir():
+        return {path.name: path.read_bytes() for path in source.rglob("*.json") if path.is_file()}
+    with zipfile.ZipFile(source) as archive:
+        return {
+            Path(member.filename).name: archive.read(member)
+            for member in archive.infolist()
+            if member.filename.endswith(".json")
+        }

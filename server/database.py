@@ -1,0 +1,124 @@
+"""The connection to the database: one engine for SQLite (WAL) and PostgreSQL, its clock, and its migrations.
+
+Sessions are synchronous everywhere, so the web and the workers share one way. Code that is given a session never
+commits: `Services.transaction` does, at the edge. Reads that change nothing use `Services.snapshot`, which takes no
+write lock and sees one consistent state.
+"""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import alembic.command
+import alembic.config
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+BUSY_TIMEOUT_S = 30
+"""How long a SQLite writer waits for another; far beyond any transaction of ours."""
+
+READ_ONLY = "cs3d_read_only"
+"""Execution option of the engine used for snapshots."""
+
+
+def create_engine(url: str) -> sa.Engine:
+    """Open an engine for `url`; nothing is connected yet.
+
+    Args:
+        url: `sqlite:///path` or `postgresql+psycopg://...`.
+    """
+    if sa.make_url(url).get_backend_name() == "sqlite":
+        return _create_sqlite_engine(url)
+    return sa.create_engine(
+        url,
+        pool_pre_ping=True,
+        pool_size=10,
+        max_overflow=20,
+        # A server that hangs must not hang us: connecting is bounded, and so is waiting for a row's lock.
+        connect_args={"connect_timeout": 5, "options": "-c lock_timeout=30s -c statement_timeout=120s"},
+    )
+
+
+def _create_sqlite_engine(url: str) -> sa.Engine:
+    path = sa.make_url(url).database
+    if path:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+    engine = sa.create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S})
+    sa.event.listen(engine, "connect", _configure_sqlite)
+    sa.event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _configure_sqlite(connection: Any, record: object) -> None:  # noqa: ANN401 - the driver's connection
+    """Set what SQLite needs per connection.
+
+    WAL lets readers and one writer work at once; `synchronous=FULL` makes a commit survive a power cut, as the
+    answer 202 promises.
+    """
+    del record
+    connection.isolation_level = None  # transactions are begun in `_begin_sqlite`, not by the driver
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={BUSY_TIMEOUT_S * 1000}"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_sqlite(connection: sa.Connection) -> None:
+    """Begin writers with the write lock: a transaction that reads first and writes later could otherwise deadlock."""
+    read_only = connection.get_execution_options().get(READ_ONLY, False)
+    connection.exec_driver_sql("BEGIN" if read_only else "BEGIN IMMEDIATE")
+
+
+def snapshot_engine(engine: sa.Engine) -> sa.Engine:
+    """Give a view of `engine`, sharing its connections, whose transactions read one consistent state."""
+    if engine.dialect.name == "sqlite":
+        return engine.execution_options(**{READ_ONLY: True})
+    return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+
+
+def now(session: Session) -> datetime:
+    """Read the database's clock: the one clock that leases, quotas and phases go by, whatever the machines think.
+
+    It asks the connection, not the session, so that rows that are half changed are not flushed by it.
+
+    Returns:
+        The present time in UTC, at least to the millisecond.
+    """
+    connection = session.connection()
+    if connection.dialect.name == "sqlite":
+        text = connection.execute(sa.text("SELECT strftime('%Y-%m-%d %H:%M:%f', 'now')")).scalar_one()
+        return datetime.strptime(str(text), "%Y-%m-%d %H:%M:%S.%f").replace(tzinfo=UTC)
+    value: datetime = connection.execute(sa.text("SELECT clock_timestamp()")).scalar_one()
+    return value.astimezone(UTC)
+
+
+def migrations_folder() -> Path:
+    """Find the migrations: inside the installed package, else beside it in the source tree."""
+    package = Path(__file__).parent
+    candidates = (package / "migrations", package.parent / "migrations")
+    return next(folder for folder in candidates if (folder / "env.py").is_file())
+
+
+def alembic_config(connection: sa.Connection) -> alembic.config.Config:
+    """Configure Alembic in code, on a given connection; there is no ini file."""
+    config = alembic.config.Config()
+    config.set_main_option("script_location", str(migrations_folder()).replace("%", "%%"))
+    config.set_main_option("path_separator", "os")
+    config.attributes["connection"] = connection
+    return config
+
+
+def migrate(engine: sa.Engine, revision: str = "head") -> None:
+    """Bring the schema to `revision`; safe to run from several processes at once."""
+    with engine.connect() as connection:
+        alembic.command.upgrade(alembic_config(connection), revision)
+
+
+def downgrade(engine: sa.Engine, revision: str) -> None:
+    """Take the schema back to `revision` (`base`: no tables)."""
+    with engine.connect() as connection:
+        alembic.command.downgrade(alembic_config(connection), revision)
+
+
+def check_drift(engine: sa.Engine) -> None:
+    """Raise `alembic.util.AutogenerateDiffsDetected` unless the migrated schema equals the models."""
+    with engine.connect() as connection:
+        alembic.command.check(alembic_config(connection))

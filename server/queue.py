@@ -1,0 +1,128 @@
+"""The queue: tells workers that a submission waits. The database is the truth, a message is only a hint.
+
+A message carries the submission's id and nothing else. Losing every message loses nothing: the sweeper sends again.
+Publish after the commit, never inside the transaction: a worker must find the row the message speaks of.
+"""
+
+import contextlib
+import uuid
+
+import structlog
+from celery import Celery
+from kombu.exceptions import OperationalError
+from redis.exceptions import RedisError
+
+from server.settings import Settings
+
+log = structlog.get_logger(__name__)
+
+EVALUATE_TASK = "cs3d.evaluate"
+SWEEP_TASK = "cs3d.sweep"
+QUEUE_NAME = "cs3d"
+
+PRIORITY_URGENT = 0
+"""Housekeeping that must not wait behind submissions."""
+PRIORITY_NORMAL = 3
+"""A submission that its team waits for."""
+PRIORITY_BULK = 9
+"""Scoring many again: waits behind everything else."""
+
+PRIORITY_STEPS = (PRIORITY_URGENT, PRIORITY_NORMAL, PRIORITY_BULK)
+PRIORITY_SEPARATOR = ":"
+
+HARD_LIMIT_MARGIN_S = 120
+"""From the end of scoring to the worker's hard limit: fetching blobs and recording."""
+
+
+def celery_app(settings: Settings) -> Celery:
+    """Make the Celery application that web, worker and scheduler share.
+
+    Limits are nested: scoring time < soft limit < hard limit < visibility timeout. Each outer one is only for the
+    case that the inner one failed; the lease in the database makes even the outermost harmless.
+    """
+    soft_s = settings.score_time_s * 2 + HARD_LIMIT_MARGIN_S
+    app = Celery("cs3d", broker=settings.broker)
+    app.conf.update(
+        task_default_queue=QUEUE_NAME,
+        task_ignore_result=True,
+        task_acks_late=True,
+        task_reject_on_worker_lost=True,
+        task_acks_on_failure_or_timeout=True,
+        worker_prefetch_multiplier=1,
+        task_soft_time_limit=soft_s,
+        task_time_limit=soft_s + HARD_LIMIT_MARGIN_S,
+        task_serializer="json",
+        accept_content=["json"],
+        task_publish_retry=True,
+        task_publish_retry_policy={"max_retries": 1, "interval_start": 0, "interval_step": 0.1, "interval_max": 0.1},
+        broker_connection_retry_on_startup=True,
+        broker_connection_max_retries=None,
+        broker_connection_timeout=settings.broker_timeout_s,
+        broker_transport_options=_transport_options(settings, soft_s + 2 * HARD_LIMIT_MARGIN_S),
+        beat_schedule={
+            "sweep": {
+                "task": SWEEP_TASK,
+                "schedule": settings.sweep_s,
+                "options": {"expires": settings.sweep_s, "priority": PRIORITY_URGENT},
+            }
+        },
+    )
+    return app
+
+
+def _transport_options(settings: Settings, visibility_s: float) -> dict[str, object]:
+    return {
+        "visibility_timeout": visibility_s,
+        "unacked_restore_interval": 1,
+        "unacked_restore_throttle": 1,
+        "socket_timeout": settings.broker_timeout_s,
+        "socket_connect_timeout": settings.broker_timeout_s,
+        "socket_keepalive": True,
+        "health_check_interval": 10,
+        "queue_order_strategy": "priority",
+        "priority_steps": list(PRIORITY_STEPS),
+        "sep": PRIORITY_SEPARATOR,
+        "max_retries": 1,
+        "interval_start": 0,
+        "interval_step": 0.1,
+        "interval_max": 0.1,
+    }
+
+
+class Queue:
+    """Sends messages; the receiving side is worker/app.py."""
+
+    def __init__(self, settings: Settings) -> None:
+        """Prepare to send; the broker is connected with the first message."""
+        self._app = celery_app(settings)
+
+    def enqueue(self, submission_id: uuid.UUID, *, priority: int = PRIORITY_NORMAL) -> bool:
+        """Tell the workers that a submission waits.
+
+        Call it after the commit. It waits for a dead or hanging broker a few seconds at most and never raises.
+
+        Returns:
+            False when the broker did not take the message; the sweeper then sends it again.
+        """
+        try:
+            self._app.send_task(EVALUATE_TASK, args=[str(submission_id)], priority=priority)
+        except (OperationalError, RedisError, OSError) as error:
+            log.warning("enqueue_failed", submission_id=str(submission_id), error=repr(error))
+            return False
+        return True
+
+    def depth(self) -> int | None:
+        """Count the messages that wait, over all priorities; None when the broker does not answer."""
+        keys = [QUEUE_NAME if step == 0 else f"{QUEUE_NAME}{PRIORITY_SEPARATOR}{step}" for step in PRIORITY_STEPS]
+        try:
+            with self._app.connection_for_write() as connection:
+                client = connection.default_channel.client
+                return sum(int(client.llen(key)) for key in keys)
+        except (OperationalError, RedisError, OSError) as error:
+            log.warning("broker_unreachable", error=repr(error))
+            return None
+
+    def close(self) -> None:
+        """Close the broker's connections."""
+        with contextlib.suppress(OperationalError, RedisError, OSError):
+            self._app.pool.force_close_all()

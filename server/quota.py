@@ -1,0 +1,166 @@
+"""The quota: an append-only ledger per team and phase, checked and written under a lock on the team's row.
+
+A submission reserves one when it is received. Scored: the reservation is charged. Rejected, failed or cancelled: it
+is refunded. A refunded reservation never counted, so it is the reservations without a refund that are counted. A
+submission that failed and was re-queued by a maintainer is free: its refund stands.
+"""
+
+from datetime import datetime, timedelta
+from math import ceil
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from server import audit, database
+from server.errors import InvalidField, QuotaExceeded, TooManyRejections
+from server.models import Phase, QuotaEntry, QuotaKind, Submission, SubmissionState, Team
+
+WINDOW = timedelta(hours=24)
+"""What "a day" means: any 24 hours, so no rush at midnight."""
+
+AMOUNTS = {QuotaKind.RESERVE: 1, QuotaKind.CHARGE: 0, QuotaKind.REFUND: -1}
+
+
+def lock_team(session: Session, team_id: int) -> None:
+    """Let nobody else change this team's quota until the transaction ends. SQLite locks the whole database anyway."""
+    session.execute(sa.select(Team.id).where(Team.id == team_id).with_for_update())
+
+
+def used(session: Session, *, team_id: int, phase: Phase, at: datetime) -> int:
+    """Count what the team used in the 24 hours before `at`, less what maintainers granted in that time."""
+    return len(_counted_reservations(session, team_id, phase.id, at)) + _granted(session, team_id, phase.id, at)
+
+
+def remaining(session: Session, *, team_id: int, phase: Phase, at: datetime) -> int:
+    """Count the submissions the team may still send now; never negative."""
+    return max(0, phase.submissions_per_day - used(session, team_id=team_id, phase=phase, at=at))
+
+
+def check(session: Session, *, team: Team, phase: Phase) -> None:
+    """Refuse a submission that the team may not send now. The caller holds `lock_team`.
+
+    Raises:
+        QuotaExceeded: The phase's submissions for 24 hours are used up.
+        TooManyRejections: The phase's rejected uploads for 24 hours are used up.
+    """
+    at = database.now(session)
+    if not remaining(session, team_id=team.id, phase=phase, at=at):
+        wait_s = _until_next(_counted_reservations(session, team.id, phase.id, at), at)
+        message = (
+            f"team {team.slug} has used its {phase.submissions_per_day} submissions to {phase.slug} for 24 hours;"
+            f" the next one is possible in {wait_s} s"
+        )
+        raise QuotaExceeded(message, retry_after_s=wait_s)
+    rejected = _rejections(session, team.id, phase.id, at)
+    if len(rejected) >= phase.rejections_per_day:
+        wait_s = _until_next(rejected, at)
+        message = (
+            f"{len(rejected)} uploads of team {team.slug} to {phase.slug} were rejected within 24 hours; check files"
+            f" with `cs3d validate` before sending them; the next upload is possible in {wait_s} s"
+        )
+        raise TooManyRejections(message, retry_after_s=wait_s)
+
+
+def reserve(session: Session, submission: Submission) -> None:
+    """Take one from the team's quota for a new submission."""
+    _append(session, submission, QuotaKind.RESERVE, "received")
+
+
+def charge(session: Session, submission: Submission) -> None:
+    """Make the reservation final: the submission is scored."""
+    _append(session, submission, QuotaKind.CHARGE, "scored")
+
+
+def refund(session: Session, submission: Submission, reason: str) -> None:
+    """Give the reservation back, once: a submission that failed before and was re-queued has its refund already."""
+    known = sa.select(QuotaEntry.id).where(
+        QuotaEntry.submission_id == submission.id, QuotaEntry.kind == QuotaKind.REFUND
+    )
+    if session.scalar(known) is None:
+        _append(session, submission, QuotaKind.REFUND, reason)
+
+
+def grant(session: Session, *, team: Team, phase: Phase, count: int, reason: str, actor: str) -> None:
+    """Allow a team `count` more submissions within the next 24 hours.
+
+    Raises:
+        InvalidField: `count` is not positive.
+    """
+    if count < 1:
+        raise InvalidField("count must be at least 1")
+    lock_team(session, team.id)
+    session.add(
+        QuotaEntry(
+            team_id=team.id,
+            phase_id=phase.id,
+            kind=QuotaKind.GRANT,
+            amount=-count,
+            reason=reason,
+            created_at=database.now(session),
+        )
+    )
+    audit.record(
+        session, actor=actor, action="quota.granted", subject=audit.subject_of(team), phase=phase.id, count=count
+    )
+
+
+def _append(session: Session, submission: Submission, kind: QuotaKind, reason: str) -> None:
+    session.add(
+        QuotaEntry(
+            team_id=submission.team_id,
+            phase_id=submission.phase_id,
+            submission_id=submission.id,
+            kind=kind,
+            amount=AMOUNTS[kind],
+            reason=reason,
+            created_at=database.now(session),
+        )
+    )
+    session.flush()
+
+
+def _counted_reservations(session: Session, team_id: int, phase_id: int, at: datetime) -> list[datetime]:
+    """List when the reservations that count were made, oldest first."""
+    refunded = sa.select(QuotaEntry.submission_id).where(
+        QuotaEntry.team_id == team_id, QuotaEntry.phase_id == phase_id, QuotaEntry.kind == QuotaKind.REFUND
+    )
+    query = (
+        _entries(sa.select(QuotaEntry.created_at), team_id, phase_id, at)
+        .where(QuotaEntry.kind == QuotaKind.RESERVE, QuotaEntry.submission_id.not_in(refunded))
+        .order_by(QuotaEntry.created_at)
+    )
+    return list(session.scalars(query))
+
+
+def _granted(session: Session, team_id: int, phase_id: int, at: datetime) -> int:
+    """Sum the grants: zero or negative."""
+    query = _entries(sa.select(sa.func.coalesce(sa.func.sum(QuotaEntry.amount), 0)), team_id, phase_id, at)
+    return int(session.scalar(query.where(QuotaEntry.kind == QuotaKind.GRANT)) or 0)
+
+
+def _entries(query: sa.Select[Any], team_id: int, phase_id: int, at: datetime) -> sa.Select[Any]:
+    return query.where(
+        QuotaEntry.team_id == team_id, QuotaEntry.phase_id == phase_id, QuotaEntry.created_at > at - WINDOW
+    )
+
+
+def _rejections(session: Session, team_id: int, phase_id: int, at: datetime) -> list[datetime]:
+    """List when the team's uploads were rejected, oldest first."""
+    query = (
+        sa.select(Submission.state_changed_at)
+        .where(
+            Submission.team_id == team_id,
+            Submission.phase_id == phase_id,
+            Submission.state == SubmissionState.REJECTED,
+            Submission.state_changed_at > at - WINDOW,
+        )
+        .order_by(Submission.state_changed_at)
+    )
+    return list(session.scalars(query))
+
+
+def _until_next(times: list[datetime], at: datetime) -> int:
+    """Count the seconds until the oldest of `times` is 24 hours ago; a whole day when there is none."""
+    oldest = times[0] if times else at
+    return max(1, ceil((oldest + WINDOW - at).total_seconds()))

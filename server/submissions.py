@@ -1,0 +1,266 @@
+"""What teams do with submissions: send, look at, publish, withdraw, cancel; and maintainers' re-queue."""
+
+import uuid
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Session, joinedload, object_session
+
+from server import audit, database, lifecycle, quota
+from server.accounts import checked_slug, checked_text, is_member
+from server.blobs import Blobs, record_blob
+from server.errors import Conflict, Forbidden, NotFound, NotScored, PhaseClosed
+from server.models import Method, Phase, Publication, Submission, SubmissionState, Team, User
+
+
+def receive(
+    session: Session,
+    *,
+    phase: Phase,
+    team: Team,
+    user: User,
+    method_slug: str,
+    predictions_sha256: str,
+    size_bytes: int,
+    file_name: str,
+    actor: str,
+    method_name: str | None = None,
+    method_description: str = "",
+    idempotency_key: str | None = None,
+) -> Submission:
+    """Take a submission whose bytes are safe in the blob store; reserve one of the team's quota.
+
+    A method that is new to the team is created with the name and description given, by default its slug.
+    After the commit, tell the queue: `queue.enqueue(submission.id)`.
+
+    Raises:
+        Forbidden: The user is not in the team.
+        PhaseClosed: The phase takes no submissions now.
+        QuotaExceeded: The team may not send more now.
+        Conflict: The idempotency key was used for other bytes.
+        InvalidField: A name cannot be used.
+    """
+    if not is_member(session, team_id=team.id, user_id=user.id):
+        message = f"{user.email} is not in team {team.slug}; ask a maintainer to add you"
+        raise Forbidden(message)
+    quota.lock_team(session, team.id)
+    if idempotency_key and (known := _replayed(session, user, idempotency_key, phase, predictions_sha256)):
+        return known
+    check_open(session, phase)
+    quota.check(session, team=team, phase=phase)
+    record_blob(session, _blobs_of(session), predictions_sha256, size_bytes)
+    at = database.now(session)
+    shown = (method_name or method_slug, method_description)
+    submission = Submission(
+        id=uuid.uuid4(),
+        phase=phase,
+        method=_find_or_create_method(session, team, method_slug, shown, actor),
+        team=team,
+        user=user,
+        predictions_sha256=predictions_sha256,
+        file_name=_shown_file_name(file_name),
+        created_at=at,
+        state_changed_at=at,
+        enqueued_at=at,
+        state=SubmissionState.RECEIVED,
+        idempotency_key=idempotency_key,
+    )
+    session.add(submission)
+    session.flush()
+    quota.reserve(session, submission)
+    audit.record(
+        session,
+        actor=actor,
+        action="submission.received",
+        subject=audit.subject_of(submission),
+        phase=phase.id,
+        team=team.id,
+        sha256=predictions_sha256,
+    )
+    session.flush()
+    return submission
+
+
+def _replayed(session: Session, user: User, key: str, phase: Phase, sha256: str) -> Submission | None:
+    """Find the submission an idempotency key stands for.
+
+    Raises:
+        Conflict: It stands for another one.
+    """
+    known = session.scalar(
+        sa.select(Submission).where(Submission.user_id == user.id, Submission.idempotency_key == key)
+    )
+    if known and (known.phase_id, known.predictions_sha256) != (phase.id, sha256):
+        raise Conflict("this Idempotency-Key was used for another submission; use a new key for new predictions")
+    return known
+
+
+def check_open(session: Session, phase: Phase) -> None:
+    """Refuse a phase that takes no submissions now; cheap enough to ask before an upload is read.
+
+    Raises:
+        PhaseClosed: It has no ground truth yet, has not begun or is over.
+    """
+    at = database.now(session)
+    if phase.ground_truth_id is None:
+        message = f"phase {phase.slug} takes no submissions yet: its ground truth is not imported"
+        raise PhaseClosed(message)
+    if phase.opens_at is not None and at < phase.opens_at:
+        message = f"phase {phase.slug} opens at {phase.opens_at:%Y-%m-%d %H:%M} UTC"
+        raise PhaseClosed(message)
+    if phase.closes_at is not None and at >= phase.closes_at:
+        message = f"phase {phase.slug} closed at {phase.closes_at:%Y-%m-%d %H:%M} UTC"
+        raise PhaseClosed(message)
+
+
+def _blobs_of(session: Session) -> Blobs:
+    """Give the store that `Services.transaction` put beside the session."""
+    blobs: Blobs = session.info["blobs"]
+    return blobs
+
+
+def _find_or_create_method(session: Session, team: Team, slug: str, shown: tuple[str, str], actor: str) -> Method:
+    slug = checked_slug("method", slug)
+    found = session.scalar(sa.select(Method).where(Method.team_id == team.id, Method.slug == slug))
+    if found:
+        return found
+    method = Method(
+        team=team,
+        slug=slug,
+        name=checked_text("method_name", shown[0], max_length=200),
+        description=shown[1].strip(),
+        created_at=database.now(session),
+    )
+    session.add(method)
+    session.flush()
+    audit.record(session, actor=actor, action="method.created", subject=audit.subject_of(method), slug=slug)
+    return method
+
+
+def _shown_file_name(file_name: str) -> str:
+    """Keep the last part of what the uploader called the file, printable and of bounded length."""
+    name = file_name.replace("\\", "/").rsplit("/", 1)[-1]
+    return "".join(character for character in name if character.isprintable())[:255] or "predictions.zip"
+
+
+def find(session: Session, submission_id: uuid.UUID | str) -> Submission:
+    """Find a submission with what its page shows.
+
+    Raises:
+        NotFound: There is none.
+    """
+    try:
+        key = submission_id if isinstance(submission_id, uuid.UUID) else uuid.UUID(submission_id)
+    except ValueError as error:
+        raise NotFound(_unknown(submission_id)) from error
+    query = (
+        sa.select(Submission)
+        .where(Submission.id == key)
+        .options(
+            joinedload(Submission.phase).joinedload(Phase.benchmark),
+            joinedload(Submission.method),
+            joinedload(Submission.team),
+        )
+    )
+    submission = session.scalar(query)
+    if submission is None:
+        raise NotFound(_unknown(submission_id))
+    return submission
+
+
+def _unknown(submission_id: uuid.UUID | str) -> str:
+    return f"there is no submission {str(submission_id)[:64]!r}"
+
+
+def owned_by(submission: Submission, user: User | None) -> bool:
+    """Say whether the user may act for the submission: a member of its team or a maintainer."""
+    session = object_session(submission)
+    if user is None or session is None:
+        return False
+    return user.is_maintainer or is_member(session, team_id=submission.team_id, user_id=user.id)
+
+
+def visible_to(submission: Submission, user: User | None) -> bool:
+    """Say whether the user may see the submission and its scores: everybody once it is published, else its owners."""
+    return submission.publication is Publication.PUBLISHED or owned_by(submission, user)
+
+
+def list_of_team(
+    session: Session, team: Team, *, phase: Phase | None = None, limit: int = 100, offset: int = 0
+) -> list[Submission]:
+    """List a team's submissions, newest first."""
+    query = (
+        sa.select(Submission)
+        .where(Submission.team_id == team.id)
+        .options(joinedload(Submission.phase).joinedload(Phase.benchmark), joinedload(Submission.method))
+        .order_by(Submission.created_at.desc(), Submission.id)
+        .limit(limit)
+        .offset(offset)
+    )
+    if phase is not None:
+        query = query.where(Submission.phase_id == phase.id)
+    return list(session.scalars(query))
+
+
+def publish(session: Session, submission: Submission, actor: str) -> None:
+    """Show the submission as its method's row on the leaderboard, instead of the one shown until now.
+
+    Raises:
+        NotScored: It has no scores (yet).
+        Forbidden: The phase does not allow it.
+    """
+    # Two submissions of one method published at once queue up at the team's row, so that the later one wins.
+    quota.lock_team(session, submission.team_id)
+    session.refresh(submission, with_for_update=True)
+    if submission.state is not SubmissionState.SCORED:
+        message = f"submission {submission.id} is {submission.state}; only a scored submission can be published"
+        raise NotScored(message)
+    if not submission.phase.allows_publication:
+        message = f"phase {submission.phase.slug} has no leaderboard; its scores stay with their team"
+        raise Forbidden(message)
+    if submission.publication is Publication.PUBLISHED:
+        return
+    shown = sa.select(Submission).where(
+        Submission.phase_id == submission.phase_id,
+        Submission.method_id == submission.method_id,
+        Submission.publication == Publication.PUBLISHED,
+    )
+    for other in session.scalars(shown.with_for_update()):
+        _set_publication(session, other, Publication.WITHDRAWN, actor, replaced_by=str(submission.id))
+    submission.published_at = database.now(session)
+    _set_publication(session, submission, Publication.PUBLISHED, actor)
+
+
+def withdraw(session: Session, submission: Submission, actor: str) -> None:
+    """Take a published submission off the leaderboard; nothing happens when it is not published."""
+    quota.lock_team(session, submission.team_id)
+    session.refresh(submission, with_for_update=True)
+    if submission.publication is Publication.PUBLISHED:
+        _set_publication(session, submission, Publication.WITHDRAWN, actor)
+
+
+def _set_publication(
+    session: Session, submission: Submission, publication: Publication, actor: str, **detail: str
+) -> None:
+    submission.publication = publication
+    submission.version += 1
+    session.flush()
+    action = f"publication.{publication}"
+    audit.record(session, actor=actor, action=action, subject=audit.subject_of(submission), **detail)
+
+
+def cancel(session: Session, submission: Submission, actor: str) -> None:
+    """End a submission that is not being scored yet; it costs nothing.
+
+    Raises:
+        IllegalTransition: It is being scored or is done.
+    """
+    lifecycle.cancel(session, submission.id, actor=actor)
+
+
+def requeue(session: Session, submission: Submission, actor: str) -> None:
+    """Let a failed submission be tried again. After the commit, tell the queue.
+
+    Raises:
+        IllegalTransition: It has not failed.
+    """
+    lifecycle.requeue(session, submission.id, actor=actor)
