@@ -1,11 +1,15 @@
 """The one way from arrays to scores: `evaluate`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from evaluator.ground_truth import GroundTruth
-from evaluator.matching import Matches
+from evaluator.matching import Matches, match
 from evaluator.predictions import Predictions
+from evaluator.protocol import CITYSCAPES3D, EVALUATOR_VERSION, Protocol, Signature
 from evaluator.results import Scores
+from evaluator.scoring import score
+from evaluator.statistics import Statistics, collect
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,3 +20,45 @@ class Evaluation:
     matches: Matches
     predictions: Predictions
     ground_truth: GroundTruth
+    statistics: Statistics
+
+
+def evaluate(
+    ground_truth: GroundTruth,
+    predictions: Predictions,
+    protocol: Protocol = CITYSCAPES3D,
+    *,
+    ground_truth_sha256: str = "",
+    predictions_sha256: str = "",
+    progress: Callable[[int, int], None] | None = None,
+) -> Evaluation:
+    """Score predictions against ground truth.
+
+    Args:
+        ground_truth: Boxes and ignore regions of all images.
+        predictions: Boxes for the same images, in the same order.
+        protocol: The rules.
+        ground_truth_sha256: Digest of the ground truth, for the signature.
+        predictions_sha256: Digest of the submission, for the signature.
+        progress: Called with images done and images in all.
+
+    Returns:
+        The scores with their matches and per-image statistics.
+
+    Raises:
+        UsageError: The images differ, or the protocol cannot be evaluated.
+    """
+    matches = match(ground_truth, predictions, protocol)
+    statistics = collect(ground_truth, predictions, matches, protocol)
+    signature = Signature(
+        protocol=protocol,
+        evaluator_version=EVALUATOR_VERSION,
+        ground_truth_sha256=ground_truth_sha256,
+        predictions_sha256=predictions_sha256,
+    )
+    scores = score(statistics, signature)
+    if progress is not None:
+        progress(len(ground_truth.images), len(ground_truth.images))
+    return Evaluation(
+        scores=scores, matches=matches, predictions=predictions, ground_truth=ground_truth, statistics=statistics
+    )

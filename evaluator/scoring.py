@@ -1,0 +1,219 @@
+"""From statistics to scores: the aggregation every number of a result comes from.
+
+Paper, section Benchmark Metrics; reference: `_calculateAp`, `_calcTpStats`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.average_precision import average_precision, precision_and_recall, working_point_index
+from evaluator.predictions import Float64Array
+from evaluator.protocol import Protocol, Signature
+from evaluator.results import ClassScore, DepthBin, Scores
+from evaluator.statistics import Statistics
+from evaluator.thresholds import count_by_group, has_threshold
+from evaluator.true_positive_metrics import SIMILARITIES, mean_over_bins
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Outcomes in each cell: C classes, B depth bins (the last one beyond the maximum depth), T thresholds."""
+
+    ground_truth: NDArray[np.int64]
+    """(C, B)."""
+    true_positives: NDArray[np.int64]
+    """(C, B, T)."""
+    false_positives: NDArray[np.int64]
+    """(C, B, T)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruePositives:
+    """The true positives at the working point: C classes, B depth bins without the one beyond."""
+
+    counts: NDArray[np.int64]
+    """(C, B)."""
+    sums: Float64Array
+    """(C, B, 4) sums of the similarities."""
+
+
+def count(statistics: Statistics) -> Counts:
+    """Count the outcomes of all images."""
+    classes, bins = statistics.grid
+    shape, cells, thresholds = (classes, bins, -1), classes * bins, len(statistics.thresholds)
+    return Counts(
+        ground_truth=np.bincount(statistics.ground_truth_cell, minlength=cells).reshape(classes, bins),
+        true_positives=count_by_group(statistics.pair_cell, statistics.pair_masks, cells, thresholds).reshape(shape),
+        false_positives=count_by_group(
+            statistics.false_positive_cell, statistics.false_positive_masks, cells, thresholds
+        ).reshape(shape),
+    )
+
+
+def true_positives_at(statistics: Statistics, working_index: NDArray[np.intp]) -> TruePositives:
+    """Sum up the similarities of the true positives at each class's working point ((C,) threshold indices)."""
+    classes, bins = statistics.grid
+    at_point = has_threshold(statistics.pair_masks, working_index[statistics.pair_cell // bins])
+    cell = statistics.pair_cell[at_point]
+    similarities = statistics.pair_similarities[at_point]
+    sums: list[Float64Array] = [
+        np.bincount(cell, weights=column, minlength=classes * bins) for column in similarities.T
+    ]
+    counts = np.bincount(cell, minlength=classes * bins).reshape(classes, bins)
+    by_cell = np.stack(sums, axis=-1).astype(np.float64).reshape(classes, bins, -1)
+    return TruePositives(counts[:, :-1], by_cell[:, :-1])
+
+
+def score(statistics: Statistics, signature: Signature) -> Scores:
+    """Compute the whole result.
+
+    Args:
+        statistics: Outcomes of all images.
+        signature: What the scores depend on; stored with them.
+
+    Returns:
+        The scores; None wherever there is no ground truth to measure on.
+    """
+    counts = count(statistics)
+    precision, recall = precision_and_recall(
+        counts.true_positives.sum(axis=1), counts.false_positives.sum(axis=1), counts.ground_truth.sum(axis=1)
+    )
+    working = working_point_index(precision, recall, statistics.thresholds, statistics.protocol.working_point)
+    true_positives = true_positives_at(statistics, working)
+    ap = average_precision(precision, recall)
+    similarities = mean_over_bins(true_positives.sums, true_positives.counts)
+    depth_bins = _depth_bins(statistics.protocol, counts, true_positives)
+    classes = tuple(
+        _class_score(
+            label=label,
+            ground_truth_count=int(counts.ground_truth[index].sum()),
+            ap=float(ap[index]),
+            similarities=similarities[index].tolist(),
+            working_point=float(statistics.thresholds[working[index]]),
+            curve=(recall[index].tolist(), precision[index].tolist()),
+            depth_bins=depth_bins[index],
+        )
+        for index, label in enumerate(statistics.labels)
+    )
+    return _with_means(signature, statistics.thresholds, classes)
+
+
+def _class_score(
+    *,
+    label: str,
+    ground_truth_count: int,
+    ap: float,
+    similarities: list[float],
+    working_point: float,
+    curve: tuple[list[float], list[float]],
+    depth_bins: tuple[DepthBin, ...],
+) -> ClassScore:
+    if ground_truth_count == 0:
+        return _undefined_class(label, depth_bins)
+    bevcd, yaw_sim, pr_sim, size_sim = similarities
+    return ClassScore(
+        label=label,
+        ground_truth_count=ground_truth_count,
+        ap=ap,
+        bevcd=bevcd,
+        yaw_sim=yaw_sim,
+        pr_sim=pr_sim,
+        size_sim=size_sim,
+        detection_score=detection_score(ap, similarities),
+        working_point=working_point,
+        recall=tuple(curve[0]),
+        precision=tuple(curve[1]),
+        depth_bins=depth_bins,
+    )
+
+
+def detection_score(ap: float, similarities: list[float]) -> float:
+    """Combine AP with the four similarities: AP x their mean (paper, section Detection Score); in [0, AP]."""
+    bevcd, yaw_sim, pr_sim, size_sim = similarities
+    return ap * (bevcd + size_sim + yaw_sim + pr_sim) / 4.0
+
+
+def _undefined_class(label: str, depth_bins: tuple[DepthBin, ...]) -> ClassScore:
+    return ClassScore(
+        label=label,
+        ground_truth_count=0,
+        ap=None,
+        bevcd=None,
+        yaw_sim=None,
+        pr_sim=None,
+        size_sim=None,
+        detection_score=None,
+        working_point=None,
+        recall=(),
+        precision=(),
+        depth_bins=depth_bins,
+    )
+
+
+def _depth_bins(protocol: Protocol, counts: Counts, true_positives: TruePositives) -> list[tuple[DepthBin, ...]]:
+    """Return the depth bins of each class."""
+    ground_truth = counts.ground_truth[:, :-1]
+    precision, recall = precision_and_recall(
+        counts.true_positives[:, :-1], counts.false_positives[:, :-1], ground_truth
+    )
+    ap = average_precision(precision, recall)
+    means = true_positives.sums / np.maximum(true_positives.counts, 1)[..., None]
+    return [
+        tuple(
+            _depth_bin(
+                range_m=(lower_m, min(lower_m + protocol.depth_step_m, protocol.max_depth_m)),
+                ground_truth_count=int(ground_truth[label, index]),
+                ap=float(ap[label, index]),
+                curve=(recall[label, index], precision[label, index]),
+                true_positive_count=int(true_positives.counts[label, index]),
+                means=means[label, index],
+            )
+            for index, lower_m in enumerate(protocol.depth_bins_m)
+        )
+        for label in range(len(ground_truth))
+    ]
+
+
+def _depth_bin(
+    *,
+    range_m: tuple[int, int],
+    ground_truth_count: int,
+    ap: float,
+    curve: tuple[Float64Array, Float64Array],
+    true_positive_count: int,
+    means: Float64Array,
+) -> DepthBin:
+    defined = means.tolist() if true_positive_count else [None] * len(SIMILARITIES)
+    recall, precision = (tuple(values.tolist()) if ground_truth_count else () for values in curve)
+    return DepthBin(
+        lower_m=range_m[0],
+        upper_m=range_m[1],
+        ground_truth_count=ground_truth_count,
+        ap=ap if ground_truth_count else None,
+        recall=recall,
+        precision=precision,
+        true_positive_count=true_positive_count,
+        **dict(zip(SIMILARITIES, defined, strict=True)),
+    )
+
+
+def _with_means(signature: Signature, thresholds: Float64Array, classes: tuple[ClassScore, ...]) -> Scores:
+    return Scores(
+        signature=signature,
+        mds=_mean([item.detection_score for item in classes]),
+        map=_mean([item.ap for item in classes]),
+        mbevcd=_mean([item.bevcd for item in classes]),
+        myaw_sim=_mean([item.yaw_sim for item in classes]),
+        mpr_sim=_mean([item.pr_sim for item in classes]),
+        msize_sim=_mean([item.size_sim for item in classes]),
+        thresholds=tuple(thresholds.tolist()),
+        classes=classes,
+    )
+
+
+def _mean(values: list[float | None]) -> float | None:
+    """Average what is defined; None when nothing is."""
+    defined = [value for value in values if value is not None]
+    return float(np.mean(defined)) if defined else None
