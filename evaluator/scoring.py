@@ -58,12 +58,11 @@ def true_positives_at(statistics: Statistics, working_index: NDArray[np.intp]) -
     at_point = has_threshold(statistics.pair_masks, working_index[statistics.pair_cell // bins])
     cell = statistics.pair_cell[at_point]
     similarities = statistics.pair_similarities[at_point]
-    sums: list[Float64Array] = [
-        np.bincount(cell, weights=column, minlength=classes * bins) for column in similarities.T
-    ]
+    sums = np.zeros((classes * bins, similarities.shape[1]))
+    for column in range(similarities.shape[1]):
+        sums[:, column] = np.bincount(cell, weights=similarities[:, column], minlength=classes * bins)
     counts = np.bincount(cell, minlength=classes * bins).reshape(classes, bins)
-    by_cell = np.stack(sums, axis=-1).astype(np.float64).reshape(classes, bins, -1)
-    return TruePositives(counts[:, :-1], by_cell[:, :-1])
+    return TruePositives(counts[:, :-1], sums.reshape(classes, bins, -1)[:, :-1])
 
 
 def score(statistics: Statistics, signature: Signature) -> Scores:
