@@ -1,0 +1,153 @@
+"""Compare our comparison metrics with the packages they follow, number by number, on the same random boxes.
+
+    python bench/comparison_reference.py [--seeds 20] [--waymo]
+
+nuscenes-devkit 1.2.0 and av2 0.3.6 are installed without their dependencies in `.cache/comparison_references/centers`
+(about 400 MB, most of it pandas and scipy), Waymo's metrics with TensorFlow 2.13 in `.cache/comparison_references/waymo`
+(1.2 GB, only with --waymo). Exits with 1 if any number differs by more than its tolerance.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from evaluator.comparison.summary import Comparison, comparison_metrics  # noqa: E402  # after the path
+from tests.array_factories import (  # noqa: E402
+    Box,
+    disturbed_boxes,
+    make_ground_truth,
+    make_predictions,
+    scattered_boxes,
+)
+
+IMAGES = 12
+LABELS = ("car", "bicycle")
+CAMERA = (1.7, 0.1, 1.2)
+SPREADS = (0.3, 0.6, 1.0, 0.0)
+"""From nearly perfect to poor, and perfect boxes with duplicates."""
+WITHOUT_DEPENDENCIES = {
+    "centers": ("nuscenes-devkit==1.2.0", "av2==0.3.6"),
+    "waymo": ("waymo-open-dataset-tf-2-12-0==1.6.7",),
+}
+WITH_DEPENDENCIES = {
+    "centers": ("numpy==2.4.6", "pandas==3.1.1", "pyquaternion==0.9.9", "scipy==1.17.1"),
+    "waymo": ("tensorflow-cpu==2.13.0", "numpy==1.24.3"),
+}
+TOLERANCE = {"nuscenes": 1e-9, "argoverse": 1e-6, "waymo": 2e-5}
+"""av2 adds an epsilon to precision; Waymo computes in single precision."""
+
+
+def interpreter(name: str) -> Path:
+    """Return the Python of a reference's environment, building it first if it is not there."""
+    folder = ROOT / ".cache" / "comparison_references" / name
+    python = folder / "bin" / "python"
+    if not (folder / "ready").exists():
+        print(f"building {folder.relative_to(ROOT)} ...", flush=True)
+        venv.create(folder, with_pip=True, clear=True)
+        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        subprocess.run([*pip, *WITH_DEPENDENCIES[name]], check=True)
+        subprocess.run([*pip, "--no-deps", *WITHOUT_DEPENDENCIES[name]], check=True)
+        (folder / "ready").touch()
+    return python
+
+
+def rows(boxes: list[Box]) -> list[dict[str, Any]]:
+    """Return boxes as JSON rows."""
+    return [
+        {
+            "image": box.image,
+            "label": box.label,
+            "center": box.center,
+            "dimensions": box.dimensions,
+            "rotation": box.quaternion(),
+            "score": box.score,
+        }
+        for box in boxes
+    ]
+
+
+def reference_scores(name: str, truth: list[Box], found: list[Box]) -> dict[str, float]:
+    """Run a reference on the boxes in its own process."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "boxes.json"
+        path.write_text(json.dumps({"labels": LABELS, "camera": CAMERA, "truth": rows(truth), "found": rows(found)}))
+        script = Path(__file__).with_name(f"reference_{name}.py")
+        done = subprocess.run([interpreter(name), script, path], check=True, capture_output=True, text=True)
+    scores: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return scores
+
+
+def our_scores(comparison: Comparison) -> dict[str, float | None]:
+    """Name our numbers as the references name theirs; undefined errors take the value the references give them."""
+    scores: dict[str, float | None] = {}
+    for seen in comparison.nuscenes.classes:
+        scores |= {
+            f"nuscenes/{seen.label}/ap@{distance}": ap
+            for distance, ap in zip(comparison.nuscenes.parameters.distances_m, seen.ap_by_distance, strict=True)
+        }
+        for name, error in (("trans_err", seen.ate_m), ("scale_err", seen.ase), ("orient_err", seen.aoe_rad)):
+            scores[f"nuscenes/{seen.label}/{name}"] = 1.0 if error is None else error
+    for composite in comparison.argoverse.classes:
+        for name, value in (
+            ("ap", composite.ap),
+            ("ate", composite.ate_m),
+            ("ase", composite.ase),
+            ("aoe", composite.aoe_rad),
+            ("cds", composite.cds),
+        ):
+            scores[f"argoverse/{composite.label}/{name}"] = value
+    for ranged in comparison.waymo.classes:
+        parts = [("all", ranged.overall), *((f"{part.lower_m:.0f}", part) for part in ranged.ranges)]
+        for name, part in parts:
+            scores[f"waymo/{ranged.label}/{name}/ap"] = part.ap or 0.0
+            scores[f"waymo/{ranged.label}/{name}/let_ap"] = part.let_ap or 0.0
+            scores[f"waymo/{ranged.label}/{name}/let_apl"] = part.let_apl or 0.0
+    return scores
+
+
+def worst_differences(seed: int, names: list[str]) -> dict[str, tuple[float, str]]:
+    """Return the greatest difference of each benchmark on one seed, with the number it occurs in."""
+    spacing_m = (1.5, 1.2) if seed % 5 == 0 else (9.0, 8.0)  # every fifth scene is so crowded that boxes overlap
+    truth = scattered_boxes(seed, images=IMAGES, per_image=12, labels=LABELS, spacing_m=spacing_m)
+    found = disturbed_boxes(seed + 1000, truth, images=IMAGES, spread=SPREADS[seed % len(SPREADS)])
+    ours = our_scores(
+        comparison_metrics(
+            make_ground_truth(truth, images=IMAGES, camera=CAMERA), make_predictions(found, images=IMAGES)
+        )
+    )
+    worst: dict[str, tuple[float, str]] = {}
+    for name in names:
+        for key, expected in reference_scores(name, truth, found).items():
+            value = ours[key]
+            difference = float("inf") if value is None else abs(value - expected)
+            benchmark = key.split("/")[0]
+            worst[benchmark] = max(worst.get(benchmark, (0.0, "")), (difference, key))
+    return worst
+
+
+def main() -> int:
+    """Compare all seeds, print a line for each, and say whether all agree."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--waymo", action="store_true", help="compare with Waymo's operation too (1.2 GB)")
+    arguments = parser.parse_args()
+    names = ["centers", "waymo"] if arguments.waymo else ["centers"]
+    agree = True
+    for seed in range(arguments.seeds):
+        worst = worst_differences(seed, names)
+        agree &= all(difference <= TOLERANCE[benchmark] for benchmark, (difference, _) in worst.items())
+        print(seed, *(f"{name} {difference:.1e} ({key})" for name, (difference, key) in worst.items()), sep="  ")
+    print("all agree" if agree else "NOT equal")
+    return 0 if agree else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
