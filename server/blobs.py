@@ -348,13 +348,24 @@ def sweep_orphans(session: Session, blobs: Blobs, *, grace_s: float) -> int:
 
 
 def sweep_incoming(blobs: Blobs, *, grace_s: float) -> int:
-    """Delete temporary files that nobody wrote to for `grace_s` seconds: what crashed uploads leave behind.
+    """Delete temporary files and folders that nobody wrote to for `grace_s` seconds: what crashes leave behind.
 
     Returns:
         How many were deleted.
     """
     deadline = datetime.now(UTC).timestamp() - grace_s
-    stale = [path for path in blobs.incoming.iterdir() if path.is_file() and path.stat().st_mtime < deadline]
+    stale = [path for path in blobs.incoming.iterdir() if _changed_at(path) < deadline]
     for path in stale:
-        path.unlink(missing_ok=True)
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
     return len(stale)
+
+
+def _changed_at(path: Path) -> float:
+    """Return when a file was last written to; a file that is gone meanwhile is as new as can be."""
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return float("inf")

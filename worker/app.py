@@ -1,0 +1,113 @@
+"""The Celery application: `celery -A worker.app worker` on any machine with the same settings.
+
+Two tasks: `cs3d.evaluate` (one argument, the submission's id) and `cs3d.sweep`. Every worker also sweeps by itself, so
+recovery needs no scheduler; a scheduler (`celery -A worker.app beat`) is for installations whose workers come and go.
+SIGTERM drains: running submissions are finished, no new ones are taken.
+"""
+
+import os
+import socket
+import threading
+import uuid
+from dataclasses import dataclass
+from functools import cache
+
+import structlog
+from celery import signals
+
+from server import sweeper
+from server.queue import EVALUATE_TASK, SWEEP_TASK, celery_app
+from server.services import Services
+from server.settings import Settings
+from worker.evaluation import evaluate_submission
+from worker.sandbox import Sandbox
+
+log = structlog.get_logger(__name__)
+
+POOL_PROCESS_MEMORY_KIB = 512 * 1024
+"""A pool process holds no submission's data, so one that grows beyond this is replaced."""
+
+SWEEPS_PER_FILE_SWEEP = 40
+
+settings = Settings()
+app = celery_app(settings)
+app.conf.worker_concurrency = settings.worker_concurrency or None
+app.conf.worker_max_memory_per_child = POOL_PROCESS_MEMORY_KIB
+app.conf.beat_scheduler = "celery.beat:Scheduler"  # keeps no file that a crash could leave half written
+
+
+@dataclass(frozen=True)
+class _Process:
+    """What one process of ours works with."""
+
+    services: Services
+    sandbox: Sandbox
+    name: str
+
+
+@cache
+def _process(pid: int) -> _Process:
+    """Open the services once per process: connections must not be shared over a fork."""
+    return _Process(Services.from_settings(settings), Sandbox(), f"{socket.gethostname()}:{pid}")
+
+
+@app.task(name=EVALUATE_TASK)
+def evaluate(submission_id: str) -> None:
+    """Validate and score a submission, if that is what it waits for."""
+    this = _process(os.getpid())
+    evaluate_submission(this.services, this.sandbox, uuid.UUID(submission_id), worker=this.name)
+
+
+@app.task(name=SWEEP_TASK)
+def sweep() -> None:
+    """Take back what lost workers held; send again what nobody picked up."""
+    sweeper.sweep(_process(os.getpid()).services)
+
+
+class _Sweeping(threading.Thread):
+    """Sweeps in the worker's main process, from its start to its end."""
+
+    def __init__(self) -> None:
+        super().__init__(name="sweeping", daemon=True)
+        self.stopped = threading.Event()
+
+    def run(self) -> None:
+        """Sweep, wait, and so on; whatever fails is tried again next time."""
+        services = Services.from_settings(settings)
+        passes = 0
+        while True:
+            try:
+                sweeper.sweep(services)
+                if passes % SWEEPS_PER_FILE_SWEEP == 0:
+                    sweeper.sweep_files(services)
+            except Exception as error:  # noqa: BLE001 - a database or broker that is away comes back
+                log.warning("sweep_failed", error=repr(error))
+            passes += 1
+            if self.stopped.wait(settings.sweep_s):
+                return
+
+
+_sweeping = _Sweeping()
+
+
+@signals.worker_ready.connect
+def _start_sweeping(**_: object) -> None:
+    _sweeping.start()
+
+
+@signals.worker_shutting_down.connect
+def _stop_sweeping(**_: object) -> None:
+    _sweeping.stopped.set()
+
+
+@signals.worker_process_init.connect
+def _warm_up(**_: object) -> None:
+    """Start the scoring process before the first submission waits for it."""
+    _process(os.getpid()).sandbox.start()
+
+
+@signals.worker_process_shutdown.connect
+def _shut_down(**_: object) -> None:
+    this = _process(os.getpid())
+    this.sandbox.kill()
+    this.services.close()

@@ -1,0 +1,227 @@
+"""What a message leads to: claim the submission, score it in the sandbox, record what came of it.
+
+The claim's fence is in every write, so whatever happens twice, late or halfway changes nothing that is not due. What
+this process cannot finish it gives back; what it cannot even give back, the sweeper takes when the lease runs out.
+"""
+
+import shutil
+import signal
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import sqlalchemy as sa
+import structlog
+from celery.exceptions import SoftTimeLimitExceeded
+from sqlalchemy.orm import Session
+
+from evaluator.results import Scores
+from server import lifecycle, mail
+from server.blobs import record_blob
+from server.errors import LeaseLost, NotFound, ServerError
+from server.lifecycle import Claim, Result
+from server.models import SubmissionState
+from server.services import Services
+from worker.child import EXIT_MEMORY, Broken, Event, Exit, Job, Progress, Rejected, Scored, Validated
+from worker.sandbox import Sandbox, SandboxError
+
+log = structlog.get_logger(__name__)
+
+DATABASE_AWAY = (sa.exc.OperationalError, sa.exc.InterfaceError)
+"""What a database that is down, restarting or locked for too long raises."""
+
+RETRY_INTERVAL_S = 0.5
+"""Between tries to write to a database that is away."""
+
+
+def evaluate_submission(services: Services, sandbox: Sandbox, submission_id: uuid.UUID, *, worker: str) -> None:
+    """Do everything a waiting submission needs. Anything else than a waiting submission: nothing."""
+    with services.transaction() as session:
+        held = lifecycle.claim(session, submission_id, worker=worker, lease_s=services.settings.lease_s)
+    if held is None:
+        log.info("nothing_to_do", submission_id=str(submission_id))
+        return
+    attempt = _Attempt(services, held)
+    try:
+        attempt.work(sandbox)
+    except LeaseLost as error:
+        log.warning("lease_lost", detail=str(error))
+    except NotFound as error:
+        attempt.fail("blob_missing", str(error))
+    except SoftTimeLimitExceeded:
+        attempt.lose("time_limit", "the worker's own time limit was reached")
+    except (ServerError, SandboxError, *DATABASE_AWAY, OSError) as error:
+        log.warning("given_back", submission_id=str(submission_id), error=repr(error))
+        attempt.give_back(f"the worker lacked what it needs: {type(error).__name__}")
+    finally:
+        shutil.rmtree(attempt.folder, ignore_errors=True)
+
+
+@dataclass(slots=True)
+class _Attempt:
+    """One claim being worked on."""
+
+    services: Services
+    held: Claim
+    last_heartbeat_s: float = field(default_factory=time.monotonic)
+    progress: Progress = field(default_factory=lambda: Progress(stage="validating", done=0, total=0))
+    concluded: bool = False
+    """True once the submission's next state is written."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the child writes its results: beside the blobs, so that keeping them is a rename."""
+        return self.services.blobs.incoming / f"{self.held.submission_id}-{self.held.attempt}.d"
+
+    def work(self, sandbox: Sandbox) -> None:
+        """Run the job and follow its events to the end."""
+        job = self._job()
+        with closing(sandbox.events(job, tick_s=self.services.settings.heartbeat_s)) as events:
+            for event in events:
+                self._follow(event)
+
+    def _job(self) -> Job:
+        settings, blobs, held = self.services.settings, self.services.blobs, self.held
+        self.folder.mkdir(parents=True)
+        return Job(
+            predictions=str(blobs.local_path(held.predictions_sha256)),
+            ground_truth=str(blobs.local_path(held.ground_truth_sha256)),
+            image_list=str(blobs.local_path(held.image_list_sha256)),
+            predictions_sha256=held.predictions_sha256,
+            ground_truth_sha256=held.ground_truth_sha256,
+            protocol=held.protocol,
+            folder=str(self.folder),
+            memory_bytes=settings.score_memory_bytes,
+            time_s=settings.score_time_s,
+        )
+
+    def _follow(self, event: Event | None) -> None:
+        match event:
+            case Progress():
+                self.progress = event
+            case Validated():
+                self._validated()
+            case Rejected():
+                self._rejected()
+            case Scored():
+                self._scored()
+            case Broken(detail=detail):
+                self.fail("evaluator_error", f"the evaluator broke down: {detail}")
+            case Exit(status=status) if not self.concluded:
+                self.lose(*_cause_of(status, self.services))
+        if not self.concluded and time.monotonic() - self.last_heartbeat_s >= self.services.settings.heartbeat_s:
+            self._heartbeat()
+
+    def _heartbeat(self) -> None:
+        """Renew the lease; a database that is away for a moment is asked again at the next beat."""
+        self.last_heartbeat_s = time.monotonic()
+        now = self.progress
+        try:
+            with self.services.transaction() as session:
+                lifecycle.heartbeat(session, self.held, stage=now.stage, images_done=now.done, images_total=now.total)
+        except DATABASE_AWAY as error:
+            log.warning("heartbeat_failed", error=repr(error))
+
+    def _validated(self) -> None:
+        sha256, size_bytes = self._keep("report.json")
+
+        def write(session: Session) -> None:
+            record_blob(session, self.services.blobs, sha256, size_bytes)
+            lifecycle.validated(session, self.held, report_sha256=sha256)
+
+        self._write(write)
+        self.last_heartbeat_s = time.monotonic()
+
+    def _rejected(self) -> None:
+        sha256, size_bytes = self._keep("report.json")
+
+        def write(session: Session) -> None:
+            record_blob(session, self.services.blobs, sha256, size_bytes)
+            lifecycle.reject(session, self.held, report_sha256=sha256)
+
+        self._conclude(write)
+
+    def _scored(self) -> None:
+        scores = msgspec.json.decode((self.folder / "scores.json").read_bytes(), type=Scores)
+        kept = {name: self._keep(name) for name in ("scores.json", "statistics")}
+        result = Result(scores=scores, scores_sha256=kept["scores.json"][0], statistics_sha256=kept["statistics"][0])
+
+        def write(session: Session) -> None:
+            for sha256, size_bytes in kept.values():
+                record_blob(session, self.services.blobs, sha256, size_bytes)
+            lifecycle.record_score(session, self.held, result)
+
+        self._conclude(write)
+
+    def _keep(self, name: str) -> tuple[str, int]:
+        """Put a result into the blob store and return its digest and size; a second call finds nothing to do."""
+        data = (self.folder / name).read_bytes()
+        return self.services.blobs.put_bytes(data), len(data)
+
+    def fail(self, code: str, detail: str) -> None:
+        """End the submission as failed and tell the maintainers."""
+        with _lost_lease_is_fine():
+            self._conclude(lambda session: lifecycle.fail(session, self.held, code=code, detail=detail))
+            mail.tell_of_failure(self.services, self.held.submission_id)
+
+    def lose(self, code: str, detail: str) -> None:
+        """Count the attempt as lost; the submission is tried again at once, or fails at the phase's cap."""
+        states: list[SubmissionState] = []
+        with _lost_lease_is_fine():
+            self._conclude(lambda session: states.append(lifecycle.lose(session, self.held, code=code, detail=detail)))
+        if states and states[-1] is SubmissionState.FAILED:
+            mail.tell_of_failure(self.services, self.held.submission_id)
+        elif states:
+            self.services.queue.enqueue(self.held.submission_id)
+
+    def give_back(self, detail: str) -> None:
+        """Let the submission wait again; the sweeper sends it once more after a while, which spares what is ailing."""
+        with _lost_lease_is_fine():
+            self._conclude(lambda session: lifecycle.give_back(session, self.held, detail=detail))
+
+    def _conclude(self, write: Callable[[Session], object]) -> None:
+        self._write(write)
+        self.concluded = True
+
+    def _write(self, write: Callable[[Session], object]) -> None:
+        """Write in one transaction, with patience: the work is done, so a database that is away is waited for.
+
+        A commit whose answer was lost may be written a second time; then the fence raises `LeaseLost`.
+        """
+        patience_s = time.monotonic() + self.services.settings.lease_s
+        while True:
+            try:
+                with self.services.transaction() as session:
+                    write(session)
+            except DATABASE_AWAY as error:
+                if time.monotonic() > patience_s:
+                    raise
+                log.warning("write_failed", error=repr(error))
+                time.sleep(RETRY_INTERVAL_S)
+            else:
+                return
+
+
+@contextmanager
+def _lost_lease_is_fine() -> Iterator[None]:
+    """Somebody else took the submission: then its end is theirs to write."""
+    try:
+        yield
+    except LeaseLost as error:
+        log.warning("lease_lost", detail=str(error))
+
+
+def _cause_of(status: int, services: Services) -> tuple[str, str]:
+    """Say why a child ended without a result: failure code and detail."""
+    settings = services.settings
+    if status == EXIT_MEMORY:
+        return "memory_limit", f"reading or scoring it needs more than {settings.score_memory_bytes >> 20} MiB"
+    if status == -signal.SIGXCPU:
+        return "time_limit", f"reading or scoring it takes longer than {settings.score_time_s:g} s"
+    if status == -signal.SIGKILL:
+        return "scoring_killed", "the scoring process was killed, probably because the machine ran out of memory"
+    return "scoring_died", f"the scoring process ended with status {status}"
