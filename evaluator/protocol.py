@@ -34,6 +34,19 @@ class Protocol(msgspec.Struct, frozen=True, kw_only=True):
         """Lower edges of the depth bins, in metres."""
         return tuple(range(0, self.max_depth_m, self.depth_step_m))
 
+    def __str__(self) -> str:
+        """Print name and version, and every parameter that differs from the published protocol of that name."""
+        published = PROTOCOLS.get(self.name, CITYSCAPES3D)
+        changed = {
+            field: getattr(self, field)
+            for field in self.__struct_fields__[2:]
+            if getattr(self, field) != getattr(published, field)
+        }
+        changes = (
+            f"+{name}={','.join(value) if isinstance(value, tuple) else value}" for name, value in changed.items()
+        )
+        return f"{self.name}:{self.version}{''.join(changes)}"
+
 
 CITYSCAPES3D = Protocol(name="cityscapes3d", version="1")
 """The published protocol: equal to `cityscapesscripts` 2.3.0 to 1e-9 on every number. It ranks."""
@@ -55,6 +68,6 @@ class Signature(msgspec.Struct, frozen=True, kw_only=True):
     def __str__(self) -> str:
         """Print the signature on one line, for citing beside a number."""
         return (
-            f"{self.protocol.name}:{self.protocol.version}|evaluator:{self.evaluator_version}"
+            f"{self.protocol}|evaluator:{self.evaluator_version}"
             f"|gt:{self.ground_truth_sha256[:12]}|pred:{self.predictions_sha256[:12]}"
         )

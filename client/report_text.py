@@ -1,0 +1,33 @@
+"""A report on a submission's bytes as plain text for the terminal."""
+
+from collections.abc import Iterator
+
+from evaluator.report import Problem, ProblemGroup, Report
+
+LISTED_PROBLEMS = 20
+"""Problems shown of each group; the rest are counted."""
+
+
+def report_text(report: Report) -> str:
+    """Return the report as text: every group with its count, its fix and where it was found; "" when it is empty."""
+    lines = [line for group in report.groups for line in _group_lines(group)]
+    if report.groups:
+        lines.append(f"{report.boxes} boxes in {report.images_found} of {report.images_expected} images were read.")
+    return "\n".join(lines)
+
+
+def _group_lines(group: ProblemGroup) -> Iterator[str]:
+    yield f"{group.severity}: {group.title} [{group.code}, {group.count}x]"
+    shown = group.problems[:LISTED_PROBLEMS]
+    yield from (f"    {_problem_line(problem)}" for problem in shown)
+    if group.count > len(shown):
+        yield f"    and {group.count - len(shown)} more"
+    yield f"    fix: {group.fix}"
+
+
+def _problem_line(problem: Problem) -> str:
+    place = " ".join(part for part in (problem.file, problem.pointer) if part)
+    found = problem.found and f"found {problem.found}"
+    expected = problem.expected and f"expected {problem.expected}"
+    what = ", ".join(part for part in (found, expected, problem.detail) if part)
+    return ": ".join(part for part in (place, what) if part)

@@ -1,0 +1,56 @@
+"""The evaluator and the reference implementation on the same random cases: every number must agree."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from evaluator.cityscapes_format import cityscapes_results
+from evaluator.evaluation import evaluate
+from evaluator.ground_truth import read_ground_truth
+from evaluator.protocol import CITYSCAPES3D
+from tests.prediction_arrays import load_predictions
+from tests.reference.process import reference_python, reference_results
+from tests.reference.random_cases import write_case
+from tests.results_comparison import differences
+
+SEEDS = range(int(os.environ.get("CS3D_DIFFERENTIAL_SEEDS", "30")))
+"""CI takes 30; by hand, `CS3D_DIFFERENTIAL_SEEDS=1000 pytest tests/integration/differential`."""
+
+
+def our_results(case: dict[str, Any]) -> dict[str, Any]:
+    """Evaluate a case as the command does, in the reference's format."""
+    parameters = case["parameters"]
+    protocol = msgspec.structs.replace(
+        CITYSCAPES3D,
+        labels=tuple(parameters["labels"]),
+        min_iou=parameters["min_iou"],
+        max_depth_m=parameters["max_depth"],
+        depth_step_m=parameters["step_size"],
+        working_point=None if parameters["cw"] == -1 else parameters["cw"],
+        modal=parameters["modal"],
+    )
+    ground_truth = read_ground_truth(Path(case["gt"]))
+    predictions = load_predictions(Path(case["pred"]), ground_truth.images, protocol.labels)
+    return cityscapes_results(evaluate(ground_truth, predictions, protocol).scores)
+
+
+def test_random_cases_agree_with_the_reference_in_every_number(tmp_path: Path) -> None:
+    """Boxes cut by the near plane, ties, scores on thresholds and every parameter give the reference's numbers."""
+    python = reference_python()
+    if python is None:
+        if os.environ.get("CI"):
+            pytest.fail("The reference is not installed; run the tests with `python3 do.py test`.")
+        pytest.skip("The reference is not installed; run the tests with `python3 do.py test`.")
+    cases = [write_case(seed, tmp_path) for seed in SEEDS]
+
+    expected = reference_results(cases, python)
+
+    found = {
+        f"seed {seed} {case['parameters']}": list(differences(json.loads(json.dumps(our_results(case))), result))[:5]
+        for seed, case, result in zip(SEEDS, cases, expected, strict=True)
+    }
+    assert {place: places for place, places in found.items() if places} == {}

@@ -1,0 +1,38 @@
+"""The reference implementation in a process of its own."""
+
+import json
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = Path(__file__).with_name("run_reference.py")
+
+
+def reference_python() -> Path | None:
+    """Return the interpreter that has the reference installed; `python3 do.py test` makes it."""
+    named = os.environ.get("CS3D_REFERENCE_PYTHON")
+    path = Path(named) if named else ROOT / ".cache" / "reference" / "bin" / "python"
+    return path if path.exists() else None
+
+
+def reference_results(cases: list[dict[str, Any]], python: Path) -> list[Any]:
+    """Evaluate all cases in one process.
+
+    Args:
+        cases: Each with "gt", "pred" (folders) and "parameters" (labels, min_iou, max_depth, step_size, modal, cw).
+        python: What `reference_python` found.
+
+    Returns:
+        The reference's results document of each case.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        cases_file, results_file = Path(folder) / "cases.json", Path(folder) / "results.json"
+        cases_file.write_text(json.dumps(cases), encoding="utf-8")
+        command: list[str | Path] = [python, "-W", "ignore", SCRIPT, cases_file, results_file]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"The reference failed:\n{done.stderr[-4000:]}")
+        return list(json.loads(results_file.read_text(encoding="utf-8")))
