@@ -4,8 +4,10 @@ The defaults are the embedded shape: everything lives in `data_dir`. The scale-o
 docs/operating explains every setting; a test holds that table and this file together.
 """
 
+import hashlib
 import os
 import secrets
+import tempfile
 from pathlib import Path
 from typing import Self
 
@@ -13,6 +15,9 @@ from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 MIB = 1024 * 1024
+
+LONGEST_SOCKET_PATH = 100
+"""Bytes; the kernel takes 107 on Linux and 103 on macOS."""
 
 
 class Settings(BaseSettings):
@@ -92,8 +97,12 @@ class Settings(BaseSettings):
 
     @property
     def broker_socket(self) -> Path:
-        """Where the embedded broker listens."""
-        return self.data_dir.absolute() / "broker.sock"
+        """Where the embedded broker listens: in the data folder, or for a long path in a short one named after it."""
+        path = self.data_dir.absolute() / "broker.sock"
+        if len(os.fsencode(path)) <= LONGEST_SOCKET_PATH:
+            return path
+        digest = hashlib.sha256(os.fsencode(path)).hexdigest()
+        return Path(tempfile.gettempdir()) / f"cs3d-{os.getuid()}-{digest[:16]}" / "broker.sock"
 
     @property
     def embedded_broker(self) -> bool:
