@@ -1,0 +1,18 @@
+"""Reading hostile zips and folders: framing, names and unpacking. What is inside the files is not its business."""
+
+from evaluator.archive.framing import Member, check_framing
+from evaluator.archive.inflate import MemberError, unpack
+from evaluator.archive.names import is_passed_over
+from evaluator.archive.source import Source, digest, open_archive, open_source
+
+__all__ = [
+    "Member",
+    "MemberError",
+    "Source",
+    "check_framing",
+    "digest",
+    "is_passed_over",
+    "open_archive",
+    "open_source",
+    "unpack",
+]

@@ -1,0 +1,188 @@
+"""The framing check: finds where each member's bytes are and refuses whatever is not a plain, honest zip.
+
+It never inflates. Not `zipfile`: the standard library takes members that share bytes, bytes before and between
+members, and headers that contradict each other. Section numbers refer to PKWARE's APPNOTE.TXT 6.3.10.
+"""
+
+import struct
+from typing import NamedTuple
+
+from evaluator.archive.directory import Entry, read_directory, widen
+from evaluator.archive.end_record import Archive, Directory, find_directory
+from evaluator.archive.framing_error import FramingError
+from evaluator.archive.names import check_names
+from evaluator.codes import Code
+from evaluator.findings import Findings
+from evaluator.limits import Limits
+
+_LOCAL = struct.Struct("<4sHHHHHIIIHH")  # 4.3.7
+_LOCAL_SIGNATURE = b"PK\x03\x04"
+_DESCRIPTOR_SIGNATURE = b"PK\x07\x08"
+_LARGEST_32 = 0xFFFFFFFF
+STORED, DEFLATED = 0, 8
+_FLAG_ENCRYPTED = 0x0001 | 0x0040 | 0x2000  # 4.4.4: bit 0, bit 6 strong encryption, bit 13 masked headers
+_FLAG_DESCRIPTOR = 0x0008
+_UNIX_TYPES = {0x0000: "none", 0x4000: "folder", 0x8000: "regular file"}
+_METHODS = {
+    1: "shrink",
+    6: "implode",
+    9: "deflate64",
+    12: "bzip2",
+    14: "lzma",
+    93: "zstd",
+    95: "xz",
+    98: "ppmd",
+    99: "aes",
+}
+
+
+class Member(NamedTuple):
+    """One file of an archive: where its packed bytes are and what must come out of them."""
+
+    name: str
+    method: int
+    """`STORED` or `DEFLATED`."""
+    crc32: int
+    start: int
+    """Offset of the packed bytes in the archive."""
+    packed_bytes: int
+    expanded_bytes: int
+
+
+def check_framing(archive: Archive, limits: Limits, findings: Findings) -> tuple[Member, ...]:
+    """Check the framing of a whole archive in time linear in its directory.
+
+    Args:
+        archive: all bytes of the zip.
+        limits: caps on entries and sizes.
+        findings: receives every problem; without an error in it afterwards the archive is sound.
+
+    Returns:
+        The members that are files, in the order of the directory; none when the archive cannot be read at all.
+    """
+    if len(archive) > limits.archive_bytes:
+        findings.add(Code.ARCHIVE_TOO_LARGE, found=f"{len(archive)} bytes", expected=f"at most {limits.archive_bytes}")
+        return ()
+    try:
+        directory = find_directory(archive)
+        if directory.entries > limits.entries:
+            findings.add(Code.TOO_MANY_ENTRIES, found=f"{directory.entries}", expected=f"at most {limits.entries}")
+            return ()
+        entries = tuple(read_directory(archive, directory))
+    except FramingError as error:
+        findings.add(error.code, detail=error.detail)
+        return ()
+    check_names((entry.shown_name for entry in entries), limits, findings)
+    _check_sizes(entries, len(archive), limits, findings)
+    for entry in entries:
+        _check_entry(entry, limits, findings)
+    return _locate_members(archive, entries, directory, findings)
+
+
+def _check_sizes(entries: tuple[Entry, ...], archive_bytes: int, limits: Limits, findings: Findings) -> None:
+    """Hold the stated sizes of all members together against the caps."""
+    expanded = sum(entry.expanded_bytes for entry in entries)
+    if expanded > limits.expanded_bytes:
+        findings.add(
+            Code.EXPANDED_TOO_LARGE, found=f"{expanded} bytes", expected=f"at most {limits.expanded_bytes} bytes"
+        )
+    elif expanded > limits.ratio_floor_bytes and expanded > limits.ratio * archive_bytes:
+        findings.add(
+            Code.RATIO_TOO_HIGH, found=f"{expanded / archive_bytes:.0f} : 1", expected=f"at most {limits.ratio} : 1"
+        )
+
+
+def _check_entry(entry: Entry, limits: Limits, findings: Findings) -> None:
+    """Check what one entry of the directory says by itself."""
+    if entry.name is None:
+        findings.add(Code.UNDECODABLE_NAME, file=entry.shown_name)
+    if entry.flags & _FLAG_ENCRYPTED:
+        findings.add(Code.ENCRYPTED, file=entry.shown_name)
+    if entry.method not in (STORED, DEFLATED):
+        method = _METHODS.get(entry.method, str(entry.method))
+        findings.add(Code.UNSUPPORTED_COMPRESSION, file=entry.shown_name, found=method, expected="deflate or store")
+    if entry.unix_type not in _UNIX_TYPES:
+        findings.add(Code.LINK_OR_DEVICE, file=entry.shown_name)
+    if entry.expanded_bytes > limits.file_bytes:
+        found, expected = f"{entry.expanded_bytes} bytes", f"at most {limits.file_bytes}"
+        findings.add(Code.FILE_TOO_LARGE, file=entry.shown_name, found=found, expected=expected)
+    if entry.method == STORED and entry.packed_bytes != entry.expanded_bytes:
+        found, expected = f"{entry.packed_bytes} bytes", f"{entry.expanded_bytes}"
+        findings.add(Code.SIZE_MISMATCH, file=entry.shown_name, found=found, expected=expected)
+    if entry.expanded_bytes and entry.raw_name.endswith(b"/"):
+        findings.add(Code.FOLDER_WITH_DATA, file=entry.shown_name)
+
+
+def _locate_members(
+    archive: Archive, entries: tuple[Entry, ...], directory: Directory, findings: Findings
+) -> tuple[Member, ...]:
+    """Walk the file from its first byte to the directory: every byte must belong to exactly one member."""
+    by_offset = sorted(range(len(entries)), key=lambda index: entries[index].header_offset)
+    ends = [entries[index].header_offset for index in by_offset[1:]] + [directory.offset]
+    first = entries[by_offset[0]].header_offset if entries else directory.offset
+    if first:
+        findings.add(Code.PREFIX_BYTES, detail=f"the first member starts at byte {first}")
+    starts = [0] * len(entries)
+    for index, end in zip(by_offset, ends, strict=True):
+        try:
+            starts[index] = _data_start(archive, entries[index], end)
+        except FramingError as error:
+            findings.add(error.code, file=entries[index].shown_name, detail=error.detail)
+    return tuple(
+        Member(entry.shown_name, entry.method, entry.crc32, start, entry.packed_bytes, entry.expanded_bytes)
+        for entry, start in zip(entries, starts, strict=True)
+        if not entry.raw_name.endswith(b"/")
+    )
+
+
+def _data_start(archive: Archive, entry: Entry, end: int) -> int:
+    """Check a member's own header against the directory and find its packed bytes, which end at `end` (4.3.7)."""
+    at = entry.header_offset
+    if at + _LOCAL.size > end:
+        raise FramingError(Code.OVERLAPPING_MEMBERS, f"its header at byte {at} reaches past byte {end}")
+    (signature, _, flags, method, _, _, crc32, packed, expanded, name_length, extra_length) = _LOCAL.unpack_from(
+        archive, at
+    )
+    name_at = at + _LOCAL.size
+    extra_at = name_at + name_length
+    start: int = extra_at + extra_length
+    if signature != _LOCAL_SIGNATURE:
+        raise FramingError(Code.LOCAL_HEADER_MISMATCH, f"there is no header at byte {at}")
+    if start + entry.packed_bytes > end:
+        raise FramingError(Code.OVERLAPPING_MEMBERS, f"its {entry.packed_bytes} bytes reach past byte {end}")
+    if archive[name_at:extra_at] != entry.raw_name:
+        raise FramingError(Code.LOCAL_HEADER_MISMATCH, "the names differ")
+    if extra_length:
+        expanded, packed = widen(archive[extra_at:start], (expanded, packed))
+    _compare(entry, flags=flags, method=method, stated=(crc32, packed, expanded))
+    _check_rest(entry, flags, archive[start + entry.packed_bytes : min(end, start + entry.packed_bytes + 32)])
+    return start
+
+
+def _compare(entry: Entry, *, flags: int, method: int, stated: tuple[int, int, int]) -> None:
+    """Compare method, encryption, checksum and sizes; with a descriptor behind the data the latter may be 0 (4.4.4)."""
+    expected = (entry.crc32, entry.packed_bytes, entry.expanded_bytes)
+    if method != entry.method:
+        raise FramingError(Code.LOCAL_HEADER_MISMATCH, f"method {method} here, {entry.method} in the directory")
+    if (flags ^ entry.flags) & _FLAG_ENCRYPTED:
+        raise FramingError(Code.LOCAL_HEADER_MISMATCH, "only one of the headers says that it is encrypted")
+    late = bool(flags & _FLAG_DESCRIPTOR)
+    for here, there in zip(stated, expected, strict=True):
+        if here != there and not (late and here == 0):
+            raise FramingError(Code.LOCAL_HEADER_MISMATCH, f"checksum and sizes {stated} here, {expected} there")
+
+
+def _check_rest(entry: Entry, flags: int, rest: bytes) -> None:
+    """Demand that a data descriptor, and nothing else, follows the data if and only if it is announced (4.3.9)."""
+    expected = {b""}
+    if flags & _FLAG_DESCRIPTOR:
+        bare = {
+            struct.pack(f"<I{width}{width}", entry.crc32, entry.packed_bytes, entry.expanded_bytes)
+            for width in ("IQ" if max(entry.packed_bytes, entry.expanded_bytes) <= _LARGEST_32 else "Q")
+        }
+        expected = bare | {_DESCRIPTOR_SIGNATURE + descriptor for descriptor in bare}
+    if rest in expected:
+        return
+    if rest[:16] in expected or rest[:24] in expected or not flags & _FLAG_DESCRIPTOR:
+        raise FramingError(Code.HIDDEN_BYTES, "bytes follow its data")
+    raise FramingError(Code.LOCAL_HEADER_MISMATCH, "the descriptor after its data contradicts the directory")

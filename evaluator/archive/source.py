@@ -1,0 +1,158 @@
+"""Opens a zip or a folder and reads its files in memory; nothing is ever extracted and no link is followed."""
+
+import hashlib
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+from typing import Protocol
+
+from evaluator.archive.end_record import Archive
+from evaluator.archive.framing import Member, check_framing
+from evaluator.archive.inflate import MemberError, unpack
+from evaluator.archive.names import check_names
+from evaluator.codes import Code
+from evaluator.findings import Findings
+from evaluator.limits import Limits
+
+_CHUNK_BYTES = 1 << 20
+
+
+class Source(Protocol):
+    """The files of a submission, by number."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The files' names as the uploader gave them; folders are left out."""
+
+    def read(self, number: int) -> bytes:
+        """Read one file whole; raises MemberError."""
+
+
+class ZipSource:
+    """The files of an archive that passed the framing check."""
+
+    def __init__(self, archive: Archive, members: Sequence[Member]) -> None:
+        """Keep the archive's bytes; they are unpacked one member at a time."""
+        self._archive = archive
+        self._members = members
+        self.names: Sequence[str] = [member.name for member in members]
+
+    def read(self, number: int) -> bytes:
+        """Unpack and check one member."""
+        return unpack(self._archive, self._members[number])
+
+
+class FolderSource:
+    """The regular files below a folder."""
+
+    def __init__(self, root: Path, names: Sequence[str], limits: Limits) -> None:
+        """Keep the names; the files are read one at a time."""
+        self._root = root
+        self._limits = limits
+        self.names = names
+
+    def read(self, number: int) -> bytes:
+        """Read one file, without following a link put there meanwhile."""
+        try:
+            descriptor = os.open(self._root / self.names[number], os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+            with open(descriptor, "rb") as file:  # noqa: PTH123 -- pathlib cannot open a descriptor
+                data = file.read(self._limits.file_bytes + 1)
+        except OSError as error:
+            raise MemberError(Code.UNREADABLE, str(error.strerror)) from None
+        if len(data) > self._limits.file_bytes:
+            raise MemberError(Code.FILE_TOO_LARGE, f"more than {self._limits.file_bytes} bytes")
+        return data
+
+
+@contextmanager
+def open_source(path: Path, limits: Limits, findings: Findings) -> Iterator[Source | None]:
+    """Open a zip or a folder; yields None when it cannot be read, with the reasons in `findings`."""
+    if path.is_dir():
+        yield _open_folder(path, limits, findings)
+        return
+    with open_archive(path, findings) as archive:
+        members = () if archive is None else check_framing(archive, limits, findings)
+        yield None if archive is None or findings.error_count else ZipSource(archive, members)
+
+
+@contextmanager
+def open_archive(path: Path, findings: Findings) -> Iterator[Archive | None]:
+    """Map a file into memory; yields None when it cannot be opened."""
+    try:
+        file = path.open("rb")
+    except (OSError, ValueError) as error:
+        findings.add(Code.UNREADABLE, detail=getattr(error, "strerror", None) or str(error))
+        yield None
+        return
+    with file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            findings.add(Code.UNREADABLE, detail="it is not a regular file")
+            yield None
+        elif not status.st_size:
+            yield b""
+        else:
+            with mmap(file.fileno(), 0, access=ACCESS_READ) as archive:
+                yield archive
+
+
+def _open_folder(root: Path, limits: Limits, findings: Findings) -> FolderSource | None:
+    """List a folder's files in sorted order and hold them against the caps."""
+    names: list[str] = []
+    total = 0
+    for name, status in _walk(root, findings):
+        if stat.S_ISREG(status.st_mode):
+            names.append(name)
+            total += status.st_size
+        else:
+            findings.add(Code.LINK_OR_DEVICE, file=name)
+        if len(names) > limits.entries:
+            findings.add(Code.TOO_MANY_ENTRIES, expected=f"at most {limits.entries}")
+            return None
+    if total > limits.expanded_bytes:
+        findings.add(Code.EXPANDED_TOO_LARGE, found=f"{total} bytes", expected=f"at most {limits.expanded_bytes} bytes")
+    names.sort()
+    check_names(names, limits, findings)
+    return None if findings.error_count else FolderSource(root, names, limits)
+
+
+def _walk(root: Path, findings: Findings) -> Iterator[tuple[str, os.stat_result]]:
+    """Yield every entry below a folder that is not itself a folder, by its relative name with forward slashes."""
+
+    def note(error: OSError) -> None:
+        findings.add(Code.UNREADABLE, file=str(error.filename), detail=error.strerror)
+
+    for folder, folders, files in os.walk(root, onerror=note, followlinks=False):
+        links = [name for name in folders if Path(folder, name).is_symlink()]
+        for name in (*links, *files):
+            path = Path(folder, name)
+            yield path.relative_to(root).as_posix(), path.lstat()
+
+
+def digest(path: Path) -> str:
+    """Compute the SHA-256 of a file, or for a folder of its sorted names and contents; empty when unreadable.
+
+    For a folder each file adds its name, a zero byte, its size in decimal, a zero byte and its bytes.
+    """
+    total = hashlib.sha256()
+    try:
+        if path.is_file():
+            _digest_into(total, path)
+            return total.hexdigest()
+        for name, status in sorted(_walk(path, Findings())):
+            if stat.S_ISREG(status.st_mode):
+                total.update(f"{name}\0{status.st_size}\0".encode("utf-8", "surrogateescape"))
+                _digest_into(total, path / name)
+    except (OSError, ValueError):
+        return ""
+    return total.hexdigest() if path.is_dir() else ""
+
+
+def _digest_into(total: "hashlib._Hash", path: Path) -> None:
+    """Add a file's bytes piece by piece."""
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            total.update(chunk)

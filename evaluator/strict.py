@@ -1,0 +1,153 @@
+"""The strict reading: clean files fast to arrays, the others explained."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from evaluator.archive import MemberError, Source
+from evaluator.codes import Code
+from evaluator.columns import NOT_EVALUATED, Columns, concatenate, gather
+from evaluator.decoding import Box, decode, extra_keys_are_clean, keys_are_expected
+from evaluator.explanation import explain
+from evaluator.file_names import assign_files
+from evaluator.findings import Findings
+from evaluator.limits import Limits
+from evaluator.predictions import IndexArray, Predictions
+from evaluator.protocol import VEHICLE_LABELS
+
+Progress = Callable[[int, int], None]
+"""Called with the images done and the images in all."""
+
+_BATCH_BOXES = 1024
+"""Small enough that a batch stays in the processor's cache."""
+_BATCH_BYTES = 32 * 1024 * 1024
+
+
+class StrictReading:
+    """One reading of all files, in the order of the images."""
+
+    def __init__(
+        self, files: Source, images: Sequence[str] | None, labels: tuple[str, ...], limits: Limits, findings: Findings
+    ) -> None:
+        """Find each image's file."""
+        self._files = files
+        self._labels = labels
+        self._limits = limits
+        self._findings = findings
+        self._known_labels = frozenset((*VEHICLE_LABELS, *labels))
+        self._label_numbers = dict.fromkeys(VEHICLE_LABELS, NOT_EVALUATED) | {
+            label: number for number, label in enumerate(labels)
+        }
+        self._left_out = dict.fromkeys(sorted(self._known_labels - set(labels)), 0)
+        self._explained: set[int] = set()
+        self.boxes = 0
+        self.images, self.assigned = assign_files(files.names, images, findings)
+        if not self.assigned and not findings.error_count:
+            findings.add(Code.EMPTY_ARCHIVE)
+
+    def read(self, progress: Progress | None) -> Predictions:
+        """Read every file, batch by batch."""
+        parts: list[Columns] = []
+        batch = _Batch()
+        for done, (image, number) in enumerate(self.assigned, start=1):
+            data = self._read_bytes(number)
+            boxes = None if data is None else self._decode(number, data)
+            if data is not None and boxes is not None:
+                batch.add(image, number, data, boxes)
+            if batch.is_full or done == len(self.assigned):
+                parts.append(self._finish(batch))
+                batch = _Batch()
+                if progress is not None:
+                    progress(done, len(self.assigned))
+        for label, count in self._left_out.items():
+            if count:
+                self._findings.add(Code.UNEVALUATED_LABEL, found=label, count=count)
+        return concatenate(parts, self.images, self._labels)
+
+    def _read_bytes(self, number: int) -> bytes | None:
+        """Read one file, reporting when that is impossible."""
+        try:
+            return self._files.read(number)
+        except MemberError as error:
+            self._findings.add(error.code, file=self._files.names[number], detail=error.detail)
+            return None
+
+    def _decode(self, number: int, data: bytes) -> Sequence[Box] | None:
+        """Decode one file; None when that fails, which is then explained."""
+        boxes = decode(data)
+        if boxes is not None and len(boxes) <= self._limits.boxes_per_image:
+            return boxes
+        self._explain(number, data)
+        return None
+
+    def _explain(self, number: int, data: bytes) -> None:
+        """Report what is wrong with one file, once."""
+        if number in self._explained:
+            return
+        self._explained.add(number)
+        explain(
+            data,
+            file=self._files.names[number],
+            known_labels=self._known_labels,
+            limits=self._limits,
+            findings=self._findings,
+        )
+
+    def _finish(self, batch: "_Batch") -> Columns:
+        """Turn a batch into arrays and explain the files with keys or values that are not as they should be."""
+        columns, modal = gather(batch.boxes, batch.image_index, self._label_numbers)
+        if not keys_are_expected(batch.data, len(batch.boxes), modal):
+            for number, data in zip(batch.numbers, batch.data, strict=True):
+                if not extra_keys_are_clean(data, self._limits.json_depth):
+                    self._explain(number, data)
+        for place in np.unique(batch.file_index[columns.rows_to_explain()]):
+            self._explain(batch.numbers[place], batch.data[place])
+        evaluated = columns.evaluated()
+        self.boxes += len(evaluated.score)
+        if len(evaluated.score) < len(columns.score):
+            self._count_left_out(batch.boxes)
+        return evaluated
+
+    def _count_left_out(self, boxes: Sequence[Box]) -> None:
+        """Count the boxes of known classes that are not evaluated."""
+        for label, count in Counter(box.label for box in boxes).items():
+            if label in self._left_out:
+                self._left_out[label] += count
+
+
+class _Batch:
+    """Some files' boxes, with the bytes they came from in case they need explaining."""
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self.boxes: list[Box] = []
+        self.numbers: list[int] = []
+        self.data: list[bytes] = []
+        self.images: list[int] = []
+        self.counts: list[int] = []
+        self._bytes = 0
+
+    def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box]) -> None:
+        """Append one file."""
+        self.boxes.extend(boxes)
+        self.numbers.append(number)
+        self.data.append(data)
+        self.images.append(image)
+        self.counts.append(len(boxes))
+        self._bytes += len(data)
+
+    @property
+    def is_full(self) -> bool:
+        """Tell when to turn it into arrays."""
+        return len(self.boxes) >= _BATCH_BOXES or self._bytes >= _BATCH_BYTES
+
+    @property
+    def image_index(self) -> IndexArray:
+        """(N,) int32, the image of each box."""
+        return np.repeat(np.array(self.images, dtype=np.int32), self.counts)
+
+    @property
+    def file_index(self) -> IndexArray:
+        """(N,) int32, the place in this batch of each box's file."""
+        return np.repeat(np.arange(len(self.counts), dtype=np.int32), self.counts)
