@@ -1,10 +1,11 @@
 """Compare our comparison metrics with the packages they follow, number by number, on the same random boxes.
 
-    python bench/comparison_reference.py [--seeds 20] [--waymo]
+    python bench/comparison_reference.py [--seeds 20] [--waymo] [--record tests/data/comparison]
 
 nuscenes-devkit 1.2.0 and av2 0.3.6 are installed without their dependencies in `.cache/comparison_references/centers`
 (about 400 MB, most of it pandas and scipy), Waymo's metrics with TensorFlow 2.13 in `.cache/comparison_references/waymo`
 (1.2 GB, only with --waymo). Exits with 1 if any number differs by more than its tolerance.
+--record keeps boxes and reference numbers for the tests, which then need none of the packages.
 """
 
 import argparse
@@ -113,40 +114,52 @@ def our_scores(comparison: Comparison) -> dict[str, float | None]:
     return scores
 
 
-def worst_differences(seed: int, names: list[str]) -> dict[str, tuple[float, str]]:
-    """Return the greatest difference of each benchmark on one seed, with the number it occurs in."""
+def scene(seed: int) -> tuple[list[Box], list[Box]]:
+    """Return ground truth and predictions of one seed."""
     spacing_m = (1.5, 1.2) if seed % 5 == 0 else (9.0, 8.0)  # every fifth scene is so crowded that boxes overlap
     truth = scattered_boxes(seed, images=IMAGES, per_image=12, labels=LABELS, spacing_m=spacing_m)
-    found = disturbed_boxes(seed + 1000, truth, images=IMAGES, spread=SPREADS[seed % len(SPREADS)])
-    ours = our_scores(
-        comparison_metrics(
-            make_ground_truth(truth, images=IMAGES, camera=CAMERA), make_predictions(found, images=IMAGES)
-        )
-    )
+    return truth, disturbed_boxes(seed + 1000, truth, images=IMAGES, spread=SPREADS[seed % len(SPREADS)])
+
+
+def worst_differences(truth: list[Box], found: list[Box], expected: dict[str, float]) -> dict[str, tuple[float, str]]:
+    """Return the greatest difference of each benchmark, with the number it occurs in."""
+    ground_truth = make_ground_truth(truth, images=IMAGES, camera=CAMERA)
+    ours = our_scores(comparison_metrics(ground_truth, make_predictions(found, images=IMAGES)))
     worst: dict[str, tuple[float, str]] = {}
-    for name in names:
-        for key, expected in reference_scores(name, truth, found).items():
-            value = ours[key]
-            difference = float("inf") if value is None else abs(value - expected)
-            benchmark = key.split("/")[0]
-            worst[benchmark] = max(worst.get(benchmark, (0.0, "")), (difference, key))
+    for key, reference in expected.items():
+        value = ours[key]
+        difference = float("inf") if value is None else abs(value - reference)
+        benchmark = key.split("/")[0]
+        worst[benchmark] = max(worst.get(benchmark, (0.0, "")), (difference, key))
     return worst
 
 
 def main() -> int:
     """Compare all seeds, print a line for each, and say whether all agree."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--waymo", action="store_true", help="compare with Waymo's operation too (1.2 GB)")
+    parser.add_argument("--record", type=Path, help="write boxes and reference numbers of each seed to this folder")
     arguments = parser.parse_args()
-    names = ["centers", "waymo"] if arguments.waymo else ["centers"]
     agree = True
     for seed in range(arguments.seeds):
-        worst = worst_differences(seed, names)
+        truth, found = scene(seed)
+        expected = reference_scores("centers", truth, found)
+        if arguments.waymo:
+            expected |= reference_scores("waymo", truth, found)
+        if arguments.record:
+            record(arguments.record / f"seed_{seed}.json", truth, found, expected)
+        worst = worst_differences(truth, found, expected)
         agree &= all(difference <= TOLERANCE[benchmark] for benchmark, (difference, _) in worst.items())
         print(seed, *(f"{name} {difference:.1e} ({key})" for name, (difference, key) in worst.items()), sep="  ")
     print("all agree" if agree else "NOT equal")
     return 0 if agree else 1
+
+
+def record(path: Path, truth: list[Box], found: list[Box], expected: dict[str, float]) -> None:
+    """Keep one scene and what the references say about it."""
+    content = {"images": IMAGES, "camera": CAMERA, "truth": rows(truth), "found": rows(found), "expected": expected}
+    path.write_text(json.dumps(content, indent=None, separators=(",", ":")) + "\n")
 
 
 if __name__ == "__main__":
