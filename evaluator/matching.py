@@ -105,9 +105,10 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
     """Find all pairs of one image and class whose IoU is above the minimum, best first, ties by row."""
     if ground_truth.images != predictions.images:
         raise UsageError("Ground truth and predictions must list the same images in the same order.")
-    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, protocol)
+    groups = _groups(ground_truth, predictions, protocol)
+    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, protocol, np.isin(groups[1], groups[0]))
     rows: list[tuple[RowArray, RowArray, Float64Array]] = []
-    for gt_row, prediction_row in pairs_within_groups(*_groups(ground_truth, predictions, protocol)):
+    for gt_row, prediction_row in pairs_within_groups(*groups):
         touching = _touches(gt_boxes, prediction_boxes, gt_row, prediction_row)
         gt_row, prediction_row = gt_row[touching], prediction_row[touching]  # noqa: PLW2901 - narrowed step by step
         iou = intersections_over_unions(gt_boxes[:, gt_row], prediction_boxes[:, prediction_row])
@@ -121,22 +122,23 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
 
 
 def _boxes_to_match(
-    ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol
+    ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol, wanted: NDArray[np.bool_]
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the boxes of both sides as (4, M) and (4, N) corners."""
+    """Return the boxes of both sides as (4, M) and (4, N) corners; zeros for predictions not wanted."""
     if protocol.modal:
         return corners_px(ground_truth.modal_px), corners_px(predictions.modal_px)
+    boxes = np.zeros((4, len(predictions)))
     x_min, y_min, x_max, y_max = projected_corners_px(
-        predictions.center_m,
-        predictions.dimensions_m,
-        predictions.rotation,
+        predictions.center_m[wanted],
+        predictions.dimensions_m[wanted],
+        predictions.rotation[wanted],
         intrinsics_px=ground_truth.intrinsics_px,
         sensor_from_vehicle=ground_truth.sensor_from_vehicle,
-        camera_index=predictions.image_index,
+        camera_index=predictions.image_index[wanted],
     )
     # The reference keeps boxes as x, y, width, height in between; the rounding of that way back decides ties.
-    projected = np.stack([x_min, y_min, x_min + (x_max - x_min), y_min + (y_max - y_min)])
-    return corners_px(ground_truth.amodal_px), projected
+    boxes[:, wanted] = x_min, y_min, x_min + (x_max - x_min), y_min + (y_max - y_min)
+    return corners_px(ground_truth.amodal_px), boxes
 
 
 def _groups(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> tuple[RowArray, RowArray]:

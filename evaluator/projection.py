@@ -7,6 +7,7 @@ Camera frame here: x right, y down, z forward (the reference's `CRS_S`).
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evaluator.orientation import rotation_matrices
 from evaluator.predictions import Float64Array, IndexArray
@@ -21,11 +22,10 @@ NEAR_PLANE_M = 0.01
 BLOCK = 4096
 """Boxes projected at a time: their 8 vertices then stay in the processor's cache."""
 
-_SIGNS = np.array([[i & 4, i & 2, i & 1] for i in range(8)], dtype=bool).T * 1.0 - 0.5
-"""(3, 8): vertex = centre + dimensions * signs, in the box frame."""
-
 _EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit]).T
-"""(2, 12): the vertices at both ends of each edge; they differ in one sign."""
+"""(2, 12): the vertices at both ends of each edge; a vertex's number has one bit for each sign of its offset."""
+
+BoolArray = NDArray[np.bool_]
 
 
 def projected_corners_px(
@@ -51,85 +51,111 @@ def projected_corners_px(
         (4, N) x_min, y_min, x_max, y_max in pixels, within the image. All zeros for a box wholly behind the near
         plane; a box beside the image collapses to a line on the border.
     """
-    boxes = np.zeros((4, len(center_m)))
+    boxes = np.empty((4, len(center_m)))
     for start in range(0, len(center_m), BLOCK):
         block = slice(start, start + BLOCK)
         camera = camera_index[block]
         vertices = vertices_in_camera_m(
             center_m[block], dimensions_m[block], rotation[block], sensor_from_vehicle[camera]
         )
-        boxes[:, block] = _circumscribed_px(vertices, intrinsics_px[camera])
+        boxes[:, block] = clipped_to_image(circumscribed_px(vertices, intrinsics_px[camera]))
     return boxes
-
-
-def projected_vertices_px(vertices_m: Float64Array, intrinsics_px: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Project points in front of the camera with the pinhole model.
-
-    Args:
-        vertices_m: (3, ..., N) points in the camera frame, z > 0.
-        intrinsics_px: (N, 4) fx, fy, u0, v0.
-
-    Returns:
-        u and v, both (..., N), in pixels.
-    """
-    x, y, z = vertices_m
-    fx, fy, u0, v0 = intrinsics_px.T
-    return (fx * x + u0 * z) / z, (fy * y + v0 * z) / z
 
 
 def vertices_in_camera_m(
     center_m: Float64Array, dimensions_m: Float64Array, rotation: Float64Array, sensor_from_vehicle: Float64Array
 ) -> Float64Array:
-    """Return (3, 8, N) vertices in the camera frame."""
-    matrices = rotation_matrices(rotation)
-    offsets = dimensions_m.T[:, None, :] * _SIGNS[:, :, None]
-    vehicle = [
-        row[0] * offsets[0] + row[1] * offsets[1] + row[2] * offsets[2] + center
-        for row, center in zip(matrices, center_m.T, strict=True)
-    ]
-    forward, left, up = (
-        row[:, 0] * vehicle[0] + row[:, 1] * vehicle[1] + row[:, 2] * vehicle[2] + row[:, 3]
-        for row in np.moveaxis(sensor_from_vehicle, 1, 0)
-    )
-    return np.stack([-left, -up, forward])
+    """Return the vertices of boxes in the camera frame (x right, y down, z forward).
+
+    Args:
+        center_m: (N, 3) in the vehicle frame.
+        dimensions_m: (N, 3) length, width, height.
+        rotation: (N, 4) quaternions w, x, y, z.
+        sensor_from_vehicle: (N, 3, 4) of each box's camera.
+
+    Returns:
+        (3, 8, N); vertices whose numbers differ in one bit share an edge.
+    """
+    columns = rotation_matrices(rotation).transpose(1, 0, 2) * (dimensions_m.T / 2)[:, None]
+    forward, left, up = sensor_from_vehicle.transpose(1, 2, 0)
+    camera = (-left, -up, forward)
+    middle = np.stack([_dot(row, center_m.T) + row[3] for row in camera])
+    half_length, half_width, half_height = (np.stack([_dot(row, column) for row in camera]) for column in columns)
+    vertices = np.empty((3, 2, 2, 2, len(center_m)))
+    vertices[:, 0, 0, 0], vertices[:, 1, 0, 0] = middle - half_length, middle + half_length
+    vertices[:, :, 1, 0] = vertices[:, :, 0, 0] + half_width[:, None]
+    vertices[:, :, 0, 0] -= half_width[:, None]
+    vertices[:, :, :, 1] = vertices[:, :, :, 0] + half_height[:, None, None]
+    vertices[:, :, :, 0] -= half_height[:, None, None]
+    return vertices.reshape(3, 8, -1)
 
 
-def _circumscribed_px(vertices_m: Float64Array, intrinsics_px: Float64Array) -> Float64Array:
-    """Return (4, N) clipped circumscribing rectangles of boxes given by (3, 8, N) vertices."""
+def circumscribed_px(vertices_m: Float64Array, intrinsics_px: Float64Array) -> Float64Array:
+    """Circumscribe what lies in front of the near plane.
+
+    Args:
+        vertices_m: (3, 8, N) in the camera frame.
+        intrinsics_px: (N, 4) fx, fy, u0, v0 of each box's camera, fx and fy > 0.
+
+    Returns:
+        (4, N) x_min, y_min, x_max, y_max in pixels, not clipped; zeros for a box wholly behind the near plane.
+    """
     cut = (vertices_m[2] <= NEAR_PLANE_M).any(axis=0)
+    if not cut.any():
+        return _pixels(_extremes(vertices_m, None), intrinsics_px)
     boxes = np.empty((4, vertices_m.shape[2]))
-    if not cut.all():
-        whole = ~cut if cut.any() else slice(None)
-        u, v = projected_vertices_px(vertices_m[:, :, whole], intrinsics_px[whole])
-        boxes[:, whole] = u.min(axis=0), v.min(axis=0), u.max(axis=0), v.max(axis=0)
-    if cut.any():
-        boxes[:, cut] = _cut_and_circumscribed_px(vertices_m[:, :, cut], intrinsics_px[cut])
+    boxes[:, ~cut] = _pixels(_extremes(vertices_m[:, :, ~cut], None), intrinsics_px[~cut])
+    points, visible = _cut_at_near_plane(vertices_m[:, :, cut])
+    in_image = _pixels(_extremes(points, visible), intrinsics_px[cut])
+    boxes[:, cut] = np.where(visible.any(axis=0), in_image, 0.0)
+    return boxes
+
+
+def clipped_to_image(boxes: Float64Array) -> Float64Array:
+    """Clip (4, N) boxes to the pixels of the image."""
     limits = np.array([IMAGE_WIDTH_PX - 1.0, IMAGE_HEIGHT_PX - 1.0] * 2)
-    return np.clip(boxes, 0.0, limits[:, None], out=boxes)
+    return np.clip(boxes, 0.0, limits[:, None])
 
 
-def _cut_and_circumscribed_px(vertices_m: Float64Array, intrinsics_px: Float64Array) -> Float64Array:
-    """Do the same, unclipped, for boxes that reach behind the near plane; zeros for those wholly behind it."""
-    points = np.concatenate([vertices_m, _crossings_m(vertices_m)], axis=1)
-    visible = np.concatenate([vertices_m[2] > NEAR_PLANE_M, _crosses(vertices_m)], axis=0)
-    points[2][~visible] = 1.0  # any depth but 0: these points are masked below
-    u, v = projected_vertices_px(points, intrinsics_px)
-    least = [np.where(visible, axis, np.inf).min(axis=0) for axis in (u, v)]
-    greatest = [np.where(visible, axis, -np.inf).max(axis=0) for axis in (u, v)]
-    return np.where(visible.any(axis=0), np.stack([*least, *greatest]), 0.0)
+def _dot(row: Float64Array, column: Float64Array) -> Float64Array:
+    """Return (N,) products of rows and columns, each three arrays of length N."""
+    return np.asarray(row[0] * column[0] + row[1] * column[1] + row[2] * column[2])
 
 
-def _crosses(vertices_m: Float64Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return (12, N): does this edge cross the near plane?"""
+def _extremes(points_m: Float64Array, visible: BoolArray | None) -> Float64Array:
+    """Return (4, N) least x/z and y/z, greatest x/z and y/z over the visible of (3, K, N) points."""
+    x, y = points_m[:2] / points_m[2]
+    if visible is None:
+        return np.stack([x.min(axis=0), y.min(axis=0), x.max(axis=0), y.max(axis=0)])
+    least = [np.where(visible, axis, np.inf).min(axis=0) for axis in (x, y)]
+    return np.stack([*least, *(np.where(visible, axis, -np.inf).max(axis=0) for axis in (x, y))])
+
+
+def _pixels(ratios: Float64Array, intrinsics_px: Float64Array) -> Float64Array:
+    """Apply the pinhole model to (4, N) x/z, y/z, x/z, y/z."""
+    fx, fy, u0, v0 = intrinsics_px.T
+    return np.asarray(ratios * np.stack([fx, fy, fx, fy]) + np.stack([u0, v0, u0, v0]))
+
+
+def _cut_at_near_plane(vertices_m: Float64Array) -> tuple[Float64Array, BoolArray]:
+    """Return (3, 20, N) corners of the cut boxes, vertices and crossings, and (20, N) which of them exist."""
     in_front = vertices_m[2] > NEAR_PLANE_M
-    return np.asarray(in_front[_EDGES[0]] != in_front[_EDGES[1]])
+    points = np.concatenate([vertices_m, _crossings_m(vertices_m)], axis=1)
+    visible = np.concatenate([in_front, in_front[_EDGES[0]] != in_front[_EDGES[1]]])
+    points[2][~visible] = 1.0  # any depth but 0 for points that do not count
+    return points, visible
 
 
 def _crossings_m(vertices_m: Float64Array) -> Float64Array:
-    """Return (3, 12, N): where each edge meets the near plane; meaningless for edges that do not cross it."""
+    """Return (3, 12, N): where each edge meets the near plane; the behind end for edges that do not cross it.
+
+    The point is reached from the end behind the plane, as in the reference.
+    """
     first, second = vertices_m[:, _EDGES[0]], vertices_m[:, _EDGES[1]]
     first_is_behind = first[2] <= NEAR_PLANE_M
     behind = np.where(first_is_behind, first, second)
     step = behind - np.where(first_is_behind, second, first)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(behind + (NEAR_PLANE_M - behind[2]) / step[2] * step)
+    parallel = step[2] == 0
+    return np.asarray(
+        behind + np.where(parallel, 0.0, NEAR_PLANE_M - behind[2]) / np.where(parallel, 1.0, step[2]) * step
+    )
