@@ -1,0 +1,126 @@
+"""`cs3d evaluate`: score predictions offline, with the same code the server uses."""
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # everything heavy is imported when the command runs
+    from evaluator.protocol import Protocol
+    from evaluator.results import Scores
+
+FORMATS = ("table", "json", "cityscapes")
+AUTOMATIC_WORKING_POINT = -1.0
+"""The reference's way to ask for the best working point of each class."""
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Declare the command."""
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="score predictions against ground truth",
+        description="Score predictions against ground truth. GT and PRED are folders or zip files.",
+    )
+    parser.add_argument(
+        "predictions", metavar="PRED", type=Path, help="one *.json for each image; write it before --labels"
+    )
+    parser.add_argument("--gt", metavar="GT", type=Path, required=True, help="the ground truth, *_gtBbox3d.json")
+    parser.add_argument("--labels", metavar="L", nargs="+", help="classes to evaluate (default: the six that rank)")
+    parser.add_argument("--min-iou", metavar="F", type=float, help="a match needs an IoU above this (default: 0.7)")
+    parser.add_argument("--max-depth", metavar="M", type=int, help="end of the last depth bin in metres (default: 100)")
+    parser.add_argument("--step-size", metavar="M", type=int, help="width of a depth bin in metres (default: 5)")
+    parser.add_argument("--cw", metavar="C", type=float, help="working point (default: the best of each class)")
+    parser.add_argument("--modal", action="store_true", help="match the submitted modal boxes")
+    parser.add_argument("--protocol", choices=("cityscapes3d", "paper"), default="cityscapes3d", help="which rules")
+    parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
+    parser.add_argument(
+        "--format", choices=FORMATS, default="table", help="table, json or the reference's results.json"
+    )
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="write there instead of to the terminal")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate and print; return 0, or 1 when the predictions have problems."""
+    from client.offline import evaluate_offline  # noqa: PLC0415 - keeps `cs3d --help` fast
+
+    protocol = protocol_from(args)
+    for path in (args.gt, args.predictions):
+        _require(path.exists(), f"{path} does not exist; give a folder or a zip file.")
+    scores, notes = evaluate_offline(args.gt, args.predictions, protocol, lenient=args.lenient)
+    if notes:
+        print(notes, file=sys.stderr)
+    if scores is None:
+        return 1
+    _write(formatted(scores, args.format), args.output)
+    return 0
+
+
+def protocol_from(args: argparse.Namespace) -> "Protocol":
+    """Return the protocol with the parameters given.
+
+    Raises:
+        UsageError: A parameter has no meaning.
+    """
+    from msgspec.structs import replace  # noqa: PLC0415 - keeps `cs3d --help` fast
+
+    from evaluator.protocol import PROTOCOLS  # noqa: PLC0415 - likewise
+
+    given: dict[str, Any] = {
+        "labels": args.labels and tuple(args.labels),
+        "min_iou": args.min_iou,
+        "max_depth_m": args.max_depth,
+        "depth_step_m": args.step_size,
+        "working_point": None if args.cw == AUTOMATIC_WORKING_POINT else args.cw,
+        "modal": args.modal,
+    }
+    protocol = replace(PROTOCOLS[args.protocol], **{name: value for name, value in given.items() if value is not None})
+    _require(0 <= protocol.min_iou < math.inf, "--min-iou must be a number of 0 or more.")
+    _require(protocol.max_depth_m >= 1, "--max-depth must be at least 1 metre.")
+    _require(protocol.depth_step_m >= 1, "--step-size must be at least 1 metre.")
+    _require(
+        math.isfinite(protocol.working_point or 0.0), "--cw must be a score, or -1 for the best one of each class."
+    )
+    _require(not (args.protocol == "paper" and args.modal), "--modal has no meaning in the protocol paper.")
+    return protocol
+
+
+def formatted(scores: "Scores", style: str) -> str:
+    """Return the scores as a table, as JSON, or as the reference's JSON."""
+    if style == "json":
+        return _json(scores)
+    if style == "cityscapes":
+        import json  # noqa: PLC0415 - not needed for the table
+
+        from evaluator.cityscapes_format import cityscapes_results  # noqa: PLC0415 - likewise
+
+        return json.dumps(cityscapes_results(scores), indent=4)
+    from client.score_text import score_table  # noqa: PLC0415 - likewise
+
+    return score_table(scores)
+
+
+def _json(scores: "Scores") -> str:
+    import msgspec  # noqa: PLC0415 - not needed for the table
+
+    document = {**msgspec.to_builtins(scores), "signature_text": str(scores.signature)}
+    return msgspec.json.format(msgspec.json.encode(document)).decode()
+
+
+def _write(text: str, output: Path | None) -> None:
+    from evaluator.errors import UsageError  # noqa: PLC0415 - keeps `cs3d --help` fast
+
+    if output is None:
+        print(text)
+        return
+    try:
+        output.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"Cannot write {output} ({error.strerror}); choose another -o.") from error
+
+
+def _require(condition: bool, message: str) -> None:  # noqa: FBT001 - reads as a sentence at every call
+    from evaluator.errors import UsageError  # noqa: PLC0415 - keeps `cs3d --help` fast
+
+    if not condition:
+        raise UsageError(message)
