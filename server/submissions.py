@@ -210,7 +210,7 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     """
     # Two submissions of one method published at once queue up at the team's row, so that the later one wins.
     quota.lock_team(session, submission.team_id)
-    session.refresh(submission, with_for_update=True)
+    _lock(session, submission)
     if submission.state is not SubmissionState.SCORED:
         message = f"submission {submission.id} is {submission.state}; only a scored submission can be published"
         raise NotScored(message)
@@ -233,9 +233,15 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
 def withdraw(session: Session, submission: Submission, actor: str) -> None:
     """Take a published submission off the leaderboard; nothing happens when it is not published."""
     quota.lock_team(session, submission.team_id)
-    session.refresh(submission, with_for_update=True)
+    _lock(session, submission)
     if submission.publication is Publication.PUBLISHED:
         _set_publication(session, submission, Publication.WITHDRAWN, actor)
+
+
+def _lock(session: Session, submission: Submission) -> None:
+    """Lock the row and read it again."""
+    query = sa.select(Submission).where(Submission.id == submission.id).with_for_update()
+    session.scalar(query.execution_options(populate_existing=True))
 
 
 def _set_publication(

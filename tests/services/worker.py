@@ -1,0 +1,48 @@
+"""Real Celery processes of ours."""
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from server.settings import Settings
+from tests.services.processes import Service
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def environment_of(settings: Settings, **extra: str) -> dict[str, str]:
+    """Give a process of ours its settings, and nothing of another installation's."""
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("CS3D_")}
+    return {**ours, "PYTHONPATH": str(ROOT), **settings.environment(), **extra}
+
+
+class WorkerProcess(Service):
+    """A Celery worker with its pool, its sweeper and its scoring processes."""
+
+    def __init__(self, folder: Path, settings: Settings, *, concurrency: int = 1, module: str = "worker.app") -> None:
+        """Take the settings of an installation."""
+        super().__init__("worker", folder)
+        self.settings = settings
+        self.concurrency = concurrency
+        self.module = module
+        self.extra: dict[str, str] = {}
+
+    def command(self) -> Sequence[str]:
+        """Run the command that operators run."""
+        options = ["--concurrency", str(self.concurrency), "--loglevel", "INFO"]
+        quiet = ["--without-gossip", "--without-mingle", "--hostname", f"test-{os.urandom(4).hex()}@%h"]
+        return [sys.executable, "-m", "celery", "--app", self.module, "worker", *options, *quiet]
+
+    def environment(self) -> Mapping[str, str]:
+        """Give the installation's settings."""
+        return environment_of(self.settings, **self.extra)
+
+    def is_ready(self) -> bool:
+        """Say whether it takes messages."""
+        return b" ready." in self.log_path.read_bytes()
+
+    def start(self) -> None:
+        """Start afresh, without the log of an earlier start."""
+        self.log_path.unlink(missing_ok=True)
+        super().start()
