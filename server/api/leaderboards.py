@@ -1,0 +1,120 @@
+"""Public reading: benchmarks, leaderboards (JSON and CSV)."""
+
+import csv
+import hashlib
+import io
+from typing import Annotated, Literal
+
+import msgspec
+from fastapi import APIRouter, Path, Query
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
+
+from server import benchmarks, ranking
+from server.api import documents, errors, examples, rendering
+from server.api.edge import Asker, WebDependency, answers, document_answer, not_modified, read
+from server.api.identity import Identity
+from server.errors import NotAuthenticated, NotFound
+
+router = APIRouter(tags=["leaderboards"])
+
+Slug = Annotated[str, Path(max_length=64)]
+
+_MEANS = ("mds", "map", "mbevcd", "myaw_sim", "mpr_sim", "msize_sim")
+_ROW = ("rank", "method", "method_name", "team", "team_name", "submission_id", "created_at", "signature")
+
+_NOT_MODIFIED = {"description": "Nothing changed since the version in If-None-Match."}
+
+
+@router.get(
+    "/benchmarks",
+    summary="Benchmarks and their phases",
+    responses=answers(
+        NotAuthenticated,
+        errors.TooManyRequests,
+        s200=document_answer("All benchmarks.", documents.BenchmarkList, example=examples.BENCHMARKS),
+        s304=_NOT_MODIFIED,
+    ),
+)
+def list_benchmarks(request: Request, web: WebDependency, asker: Asker) -> Response:
+    """List every benchmark."""
+
+    def work(session: Session, identity: Identity | None) -> Response:
+        del identity
+        rows = [rendering.benchmark_document(one) for one in benchmarks.list_benchmarks(session)]
+        body = msgspec.json.encode(documents.BenchmarkList(benchmarks=rows))
+        return _public(request, body, "application/json")
+
+    return read(web, asker, work)
+
+
+@router.get(
+    "/leaderboards/{benchmark}/{phase}",
+    summary="The ranking of a phase",
+    responses=answers(
+        NotAuthenticated,
+        errors.TooManyRequests,
+        NotFound,
+        errors.ValidationFailed,
+        s200={
+            **document_answer(
+                "Published methods, best mDS first.",
+                documents.LeaderboardDocument,
+                example=examples.LEADERBOARD,
+                headers={"ETag": "Version"},
+            )
+        },
+        s304=_NOT_MODIFIED,
+    ),
+)
+def show_leaderboard(
+    *,
+    request: Request,
+    benchmark: Slug,
+    phase: Slug,
+    web: WebDependency,
+    asker: Asker,
+    wanted: Annotated[Literal["json", "csv"] | None, Query(alias="format")] = None,
+) -> Response:
+    """Rank the published methods; CSV by `?format=csv` or `Accept: text/csv`."""
+    as_csv = wanted == "csv" or (wanted is None and "text/csv" in request.headers.get("accept", ""))
+
+    def work(session: Session, identity: Identity | None) -> Response:
+        del identity
+        board = ranking.leaderboard(session, benchmarks.find_phase(session, benchmark, phase))
+        document = rendering.leaderboard_document(board)
+        if as_csv:
+            name = f"{board.phase.benchmark.slug}-{board.phase.slug}.csv"
+            return _public(request, csv_of(document), "text/csv", file_name=name)
+        return _public(request, msgspec.json.encode(document), "application/json")
+
+    return read(web, asker, work)
+
+
+def csv_of(document: documents.LeaderboardDocument) -> bytes:
+    """Write a ranking as CSV: one row a method, undefined values empty, numbers in full precision."""
+    labels = list(document.rows[0].classes) if document.rows else []
+    metrics = documents.ClassSummary.__struct_fields__
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow([*_ROW, *_MEANS, *(f"{label}_{metric}" for label in labels for metric in metrics)])
+    for row in document.rows:
+        facts = [_inert(str(value)) if value is not None else "" for value in map(row.__getattribute__, _ROW)]
+        means = [row.__getattribute__(name) for name in _MEANS]
+        classes = [getattr(row.classes[label], metric) for label in labels for metric in metrics]
+        writer.writerow([*facts, *means, *classes])
+    return text.getvalue().encode()
+
+
+def _inert(text: str) -> str:
+    """Keep a spreadsheet from taking a name for a formula (OWASP, CSV injection)."""
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
+
+
+def _public(request: Request, body: bytes, media_type: str, *, file_name: str | None = None) -> Response:
+    etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
+    headers = {"ETag": etag, "Cache-Control": "public, no-cache", "Vary": "Accept"}
+    if file_name:
+        headers["Content-Disposition"] = f'attachment; filename="{file_name}"'
+    return not_modified(request, etag) or Response(body, headers=headers, media_type=media_type)

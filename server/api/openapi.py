@@ -1,0 +1,60 @@
+"""The OpenAPI document: FastAPI's, with our typed documents as schemas and nothing it did not promise."""
+
+from typing import Any
+
+import msgspec
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from server.api.documents import EXPOSED
+from server.api.problems import MEDIA_TYPE, Problem
+
+TITLE = "Cityscapes 3D benchmark"
+
+DESCRIPTION = """Send predictions, follow their scoring, read leaderboards.
+
+Everything that changes something needs `Authorization: Bearer <token>`; tokens are made on your account page.
+Errors are problem documents (RFC 9457) with a stable `code`. Numbers are in full precision, undefined is `null`.
+"""
+
+_METHODS = ("get", "put", "post", "patch", "delete", "head")
+
+
+def build(app: FastAPI) -> dict[str, Any]:
+    """Build the document once and keep it."""
+    if app.openapi_schema is None:
+        app.openapi_schema = _finished(
+            get_openapi(title=TITLE, version=app.version, description=DESCRIPTION, routes=app.routes)
+        )
+    return app.openapi_schema
+
+
+def _finished(document: dict[str, Any]) -> dict[str, Any]:
+    components = document.setdefault("components", {})
+    schemas = components.setdefault("schemas", {})
+    for unused in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(unused, None)
+    _, ours = msgspec.json.schema_components([*EXPOSED, Problem], ref_template="#/components/schemas/{name}")
+    schemas.update(ours)
+    components["securitySchemes"] = {
+        "token": {"type": "http", "scheme": "bearer", "description": "An API token from your account page"}
+    }
+    for path in document["paths"].values():
+        for method in _METHODS:
+            if method in path:
+                _finish_operation(path[method])
+    return document
+
+
+def _finish_operation(operation: dict[str, Any]) -> None:
+    responses = operation["responses"]
+    # FastAPI announces its own validation answer everywhere; ours is a problem document where one is documented.
+    plain = responses.get("422", {}).get("content", {}).get("application/json", {})
+    if plain.get("schema", {}).get("$ref", "").endswith("HTTPValidationError"):
+        responses["422"]["content"].pop("application/json")
+        if not responses["422"]["content"]:
+            del responses["422"]
+    operation["security"] = [{"token": []}, {}]
+    unforeseen = {"description": "Something unforeseen happened.", "content": {}}
+    unforeseen["content"] = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+    responses.setdefault("500", unforeseen)

@@ -1,0 +1,151 @@
+"""From bytes to a submission: what every way of uploading shares.
+
+    admit      who, for which phase and team: asked before the first byte is read
+    (spool)    the body goes to disk, hashed and capped on the way
+    keep       framing check, promotion to a blob, one transaction, then the message to the workers
+
+Nothing is recorded and no quota is used until `keep` commits.
+"""
+
+import uuid
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from evaluator.intake import check_archive
+from server import accounts, benchmarks, quota, submissions
+from server.api.errors import ArchiveRefused, DiskFull, IdempotencyMismatch
+from server.api.identity import Identity
+from server.api.spool import SpooledFile
+from server.errors import Forbidden, InvalidField, StorageFull
+from server.models import Submission, Team, User
+from server.services import Services
+
+MAX_KEY_CHARACTERS = 255
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """What the sender wants done with the archive."""
+
+    benchmark: str
+    phase: str
+    method: str
+    method_name: str | None = None
+    description: str = ""
+    file_name: str = "predictions.zip"
+    team: str | None = None
+    """Slug; needed by users of several teams who send without a token."""
+    idempotency_key: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """Who sends, once it is known that the upload may begin."""
+
+    user_id: int
+    team_id: int
+    actor: str
+
+
+def admit(session: Session, identity: Identity, order: Order) -> Admission:
+    """Refuse an upload that could not become a submission before its bytes are sent.
+
+    Raises:
+        NotFound: There is no such phase.
+        PhaseClosed: It takes no submissions now.
+        Forbidden: The user has no such team.
+        QuotaExceeded: The team may not send more now.
+        InvalidField: The method's name cannot be used, or the team is not said.
+    """
+    phase = benchmarks.find_phase(session, order.benchmark, order.phase)
+    submissions.check_open(session, phase)
+    accounts.checked_slug("method", order.method)
+    if order.idempotency_key is not None and not 0 < len(order.idempotency_key) <= MAX_KEY_CHARACTERS:
+        raise InvalidField(f"idempotency-key must have 1 to {MAX_KEY_CHARACTERS} characters")
+    team = _team_of(session, identity, order.team)
+    if order.idempotency_key is None:  # a replay is answered whatever is left
+        quota.check(session, team=team, phase=phase)
+    return Admission(identity.user.id, team.id, identity.actor)
+
+
+def keep(services: Services, admission: Admission, order: Order, spooled: SpooledFile) -> uuid.UUID:
+    """Make a submission of a whole upload and tell the workers.
+
+    Blocks on the disk, the blob store, the database and the broker: call it on a thread.
+
+    Raises:
+        ArchiveRefused: The archive breaks the framing rules; carries the report and costs nothing.
+        IdempotencyMismatch: The key was used for another upload.
+        QuotaExceeded: The team may not send more now.
+    """
+    report = check_archive(spooled.path)
+    if not report.accepted:
+        raise ArchiveRefused(report)
+    known = _replayed(services, admission, order, spooled.sha256)
+    if known is not None:
+        return known
+    try:
+        services.blobs.put_file(spooled.path, spooled.sha256)
+    except StorageFull as error:
+        raise DiskFull from error
+    submission_id = _record(services, admission, order, spooled)
+    services.queue.enqueue(submission_id)
+    return submission_id
+
+
+def _record(services: Services, admission: Admission, order: Order, spooled: SpooledFile) -> uuid.UUID:
+    try:
+        with services.transaction() as session:
+            submission = submissions.receive(
+                session,
+                phase=benchmarks.find_phase(session, order.benchmark, order.phase),
+                team=session.get_one(Team, admission.team_id),
+                user=session.get_one(User, admission.user_id),
+                method_slug=order.method,
+                method_name=order.method_name,
+                method_description=order.description,
+                predictions_sha256=spooled.sha256,
+                size_bytes=spooled.size_bytes,
+                file_name=order.file_name,
+                actor=admission.actor,
+                idempotency_key=order.idempotency_key,
+            )
+            return submission.id
+    except sa.exc.IntegrityError as error:
+        # Two uploads of one user for two teams under one key pass the teams' locks side by side.
+        if order.idempotency_key is None:
+            raise
+        raise IdempotencyMismatch from error
+
+
+def _replayed(services: Services, admission: Admission, order: Order, sha256: str) -> uuid.UUID | None:
+    """Find the submission that this very request made before."""
+    if order.idempotency_key is None:
+        return None
+    with services.snapshot() as session:
+        key = (Submission.user_id == admission.user_id, Submission.idempotency_key == order.idempotency_key)
+        known = session.scalar(sa.select(Submission).where(*key))
+        if known is None:
+            return None
+        phase = known.phase
+        made = (phase.benchmark.slug, phase.slug, known.method.slug, known.team_id, known.predictions_sha256)
+        if made != (order.benchmark, order.phase, order.method, admission.team_id, sha256):
+            raise IdempotencyMismatch
+        return known.id
+
+
+def _team_of(session: Session, identity: Identity, slug: str | None) -> Team:
+    """Find the team an upload is for: the token's, the one named, or the only one."""
+    if identity.team is not None:
+        if slug not in (None, identity.team.slug):
+            raise Forbidden(f"this token acts for team {identity.team.slug}; use a token of team {slug}")
+        return identity.team
+    teams = accounts.teams_of(session, identity.user)
+    chosen = [team for team in teams if slug in (None, team.slug)]
+    if not chosen:
+        raise Forbidden("you are not in that team; a maintainer can add you to one")
+    if len(chosen) > 1:
+        raise InvalidField("team: name one of " + ", ".join(team.slug for team in chosen))
+    return chosen[0]

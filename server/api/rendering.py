@@ -1,0 +1,171 @@
+"""Rows of the record as documents of the API."""
+
+import msgspec
+from sqlalchemy.orm import object_session
+
+from evaluator.protocol import Signature
+from evaluator.report import Report
+from evaluator.results import Scores
+from server.api import documents
+from server.blobs import Blobs
+from server.errors import NotScored
+from server.models import Benchmark, Blob, Phase, Submission, SubmissionState
+from server.ranking import Leaderboard, LeaderboardRow, ranking_score
+
+
+def links_of(submission: Submission) -> documents.Links:
+    """Say where a submission's documents and its page are."""
+    own = f"/api/v1/submissions/{submission.id}"
+    return documents.Links(
+        self=own, results=f"{own}/results", events=f"{own}/events", page=f"/submissions/{submission.id}"
+    )
+
+
+def submission_document(submission: Submission, blobs: Blobs, *, owned: bool) -> documents.SubmissionDocument:
+    """Describe a submission; the report and the cause of a failure are for its owners.
+
+    Args:
+        submission: The row, within its session.
+        blobs: Where the report is.
+        owned: True for members of its team and maintainers.
+    """
+    shown = ranking_score(submission) if submission.state is SubmissionState.SCORED else None
+    return documents.SubmissionDocument(
+        id=str(submission.id),
+        benchmark=submission.phase.benchmark.slug,
+        phase=submission.phase.slug,
+        method=submission.method.slug,
+        method_name=submission.method.name,
+        team=submission.team.slug,
+        state=submission.state.value,
+        terminal=submission.state.terminal,
+        created_at=submission.created_at,
+        state_changed_at=submission.state_changed_at,
+        attempt=submission.attempt,
+        progress=_progress(submission),
+        publication=submission.publication.value,
+        predictions=_predictions(submission),
+        failure=_failure(submission) if owned else None,
+        report=report_of(submission, blobs) if owned else None,
+        mds=shown.mds if shown else None,
+        links=links_of(submission),
+    )
+
+
+def submission_summary(submission: Submission) -> documents.SubmissionSummary:
+    """Describe a submission in one line."""
+    shown = ranking_score(submission) if submission.state is SubmissionState.SCORED else None
+    return documents.SubmissionSummary(
+        id=str(submission.id),
+        benchmark=submission.phase.benchmark.slug,
+        phase=submission.phase.slug,
+        method=submission.method.slug,
+        team=submission.team.slug,
+        state=submission.state.value,
+        terminal=submission.state.terminal,
+        created_at=submission.created_at,
+        publication=submission.publication.value,
+        mds=shown.mds if shown else None,
+        links=links_of(submission),
+    )
+
+
+def report_of(submission: Submission, blobs: Blobs) -> Report | None:
+    """Read the report on a submission; None before it is validated."""
+    if submission.report_sha256 is None:
+        return None
+    return msgspec.json.decode(blobs.read(submission.report_sha256), type=Report)
+
+
+def scores_of(submission: Submission, blobs: Blobs) -> Scores:
+    """Read the scores a submission is shown with.
+
+    Raises:
+        NotScored: There are none (yet).
+    """
+    score = ranking_score(submission) if submission.state is SubmissionState.SCORED else None
+    if score is None:
+        raise NotScored(f"submission {submission.id} is {submission.state.value}; it has no scores")
+    return msgspec.json.decode(blobs.read(score.scores_sha256), type=Scores)
+
+
+def results_document(scores: Scores) -> documents.ResultsDocument:
+    """Put the printable signature beside the scores."""
+    fields = {name: getattr(scores, name) for name in scores.__struct_fields__}
+    return documents.ResultsDocument(**fields, signature_text=str(scores.signature))
+
+
+def leaderboard_document(board: Leaderboard) -> documents.LeaderboardDocument:
+    """Describe a ranking."""
+    return documents.LeaderboardDocument(
+        benchmark=board.phase.benchmark.slug,
+        phase=board.phase.slug,
+        protocol=board.phase.protocol,
+        rows=[_row(row) for row in board.rows],
+    )
+
+
+def benchmark_document(benchmark: Benchmark) -> documents.BenchmarkDocument:
+    """Describe a benchmark."""
+    return documents.BenchmarkDocument(
+        slug=benchmark.slug,
+        title=benchmark.title,
+        description=benchmark.description,
+        phases=[_phase(phase) for phase in benchmark.phases],
+    )
+
+
+def _progress(submission: Submission) -> documents.Progress | None:
+    if submission.stage is None or submission.state.terminal:
+        return None
+    return documents.Progress(
+        stage=submission.stage, images_done=submission.images_done, images_total=submission.images_total
+    )
+
+
+def _predictions(submission: Submission) -> documents.PredictionsFile:
+    session = object_session(submission)
+    blob = session.get(Blob, submission.predictions_sha256) if session else None
+    return documents.PredictionsFile(
+        sha256=submission.predictions_sha256,
+        size_bytes=blob.size_bytes if blob else 0,
+        file_name=submission.file_name,
+    )
+
+
+def _failure(submission: Submission) -> documents.Failure | None:
+    if submission.failure_code is None:
+        return None
+    return documents.Failure(code=submission.failure_code, detail=submission.failure_detail or "")
+
+
+def _phase(phase: Phase) -> documents.PhaseDocument:
+    return documents.PhaseDocument(
+        slug=phase.slug,
+        title=phase.title,
+        protocol=phase.protocol,
+        is_open=phase.is_open,
+        allows_publication=phase.allows_publication,
+        opens_at=phase.opens_at,
+        closes_at=phase.closes_at,
+        submissions_per_day=phase.submissions_per_day,
+        images=phase.ground_truth.image_count if phase.ground_truth else None,
+    )
+
+
+def _row(row: LeaderboardRow) -> documents.LeaderboardRow:
+    means = {name: row.summary[name] for name in ("map", "mbevcd", "myaw_sim", "mpr_sim", "msize_sim")}
+    return documents.LeaderboardRow(
+        rank=row.rank,
+        method=row.method.slug,
+        method_name=row.method.name,
+        team=row.team.slug,
+        team_name=row.team.name,
+        submission_id=str(row.submission.id),
+        mds=row.mds,
+        **means,
+        created_at=row.submission.created_at,
+        signature=str(msgspec.convert(row.summary["signature"], Signature)),
+        classes={one["label"]: msgspec.convert(one, documents.ClassSummary) for one in row.summary["classes"]},
+        links=links_of(row.submission),
+    )

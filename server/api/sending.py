@@ -1,0 +1,297 @@
+"""POST /api/v1/submissions: one archive, as the raw body or as a form; and the list of what was sent."""
+
+import re
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+
+from server import accounts, benchmarks, submissions
+from server.api import documents, errors, examples, receiving, rendering
+from server.api.digests import announced_sha256, check_sha256
+from server.api.edge import (
+    POLL_S,
+    Asker,
+    Web,
+    WebDependency,
+    answers,
+    document_answer,
+    json_response,
+    read,
+)
+from server.api.errors import InvalidValue, MalformedRequest, MissingToken, UnsupportedMediaType, ValidationFailed
+from server.api.identity import Credentials, Identity
+from server.api.multipart import Form, FormReader, boundary_of
+from server.api.receiving import Admission, Order
+from server.api.spool import at_a_decent_pace
+from server.errors import (
+    Conflict,
+    Forbidden,
+    InvalidField,
+    NotAuthenticated,
+    NotFound,
+    PhaseClosed,
+    QuotaExceeded,
+    TooManyRejections,
+    Unavailable,
+)
+
+router = APIRouter(prefix="/submissions", tags=["submissions"])
+
+ARCHIVE_TYPES = {"application/zip", "application/x-zip-compressed", "application/octet-stream"}
+"""Media types of a raw body; the last is what some clients call every file."""
+
+_FIELDS = ("benchmark", "phase", "method")
+
+_TEXT = {"type": "string", "minLength": 1}
+
+_BODY: dict[str, Any] = {
+    "required": True,
+    "description": "The zip of prediction files; either raw, with the fields as query parameters, or a form.",
+    "content": {
+        "application/zip": {"schema": {"type": "string", "format": "binary"}},
+        "multipart/form-data": {
+            "schema": {
+                "type": "object",
+                "required": [*_FIELDS, "predictions"],
+                "properties": {
+                    "benchmark": _TEXT,
+                    "phase": _TEXT,
+                    "method": {**_TEXT, "description": "Slug; a new one makes a new method of your team"},
+                    "method_name": {"type": "string"},
+                    "description": {"type": "string"},
+                    "predictions": {"type": "string", "format": "binary"},
+                },
+            }
+        },
+    },
+}
+
+_HEADERS = [
+    {
+        "name": "Idempotency-Key",
+        "in": "header",
+        "schema": {"type": "string", "minLength": 1, "maxLength": receiving.MAX_KEY_CHARACTERS},
+        "description": "The same key again gives the same submission, so a lost answer can be asked for again.",
+    },
+    {
+        "name": "Content-Digest",
+        "in": "header",
+        "schema": {"type": "string"},
+        "description": "`sha-256=:<base64>:` of the body (RFC 9530); Repr-Digest is taken too.",
+    },
+]
+
+SENDING_PROBLEMS = (
+    NotAuthenticated,
+    errors.CsrfFailed,
+    Forbidden,
+    NotFound,
+    Conflict,
+    PhaseClosed,
+    errors.UploadTooLarge,
+    InvalidField,
+    ValidationFailed,
+    errors.ArchiveRefused,
+    errors.DigestMismatch,
+    errors.IdempotencyMismatch,
+    QuotaExceeded,
+    TooManyRejections,
+    errors.TooManyRequests,
+    Unavailable,
+    errors.TooManyUploads,
+    errors.DiskFull,
+    MalformedRequest,
+    errors.UploadTimeout,
+)
+"""What may stop an upload on its way to a submission."""
+
+Text = Annotated[str | None, Query(max_length=200)]
+
+
+@router.post(
+    "",
+    status_code=202,
+    summary="Send a submission",
+    openapi_extra={"requestBody": _BODY, "parameters": _HEADERS},
+    responses=answers(
+        *SENDING_PROBLEMS,
+        UnsupportedMediaType,
+        s202=document_answer(
+            "The bytes are safe and will be scored. Follow Location.",
+            documents.SubmissionDocument,
+            example={**examples.SUBMISSION, "state": "received", "progress": None, "attempt": 0},
+            headers={
+                "Location": "The submission",
+                "Retry-After": "Seconds until asking makes sense",
+                "ETag": "Version",
+            },
+        ),
+    ),
+)
+async def send_submission(
+    *,
+    request: Request,
+    web: WebDependency,
+    asker: Asker,
+    benchmark: Text = None,
+    phase: Text = None,
+    method: Text = None,
+    method_name: Text = None,
+    description: Annotated[str, Query(max_length=10_000)] = "",
+    file_name: Text = None,
+    team: Text = None,
+) -> Response:
+    """Take an archive and answer as soon as it is safe; scoring follows."""
+    given = {
+        "benchmark": benchmark,
+        "phase": phase,
+        "method": method,
+        "method_name": method_name,
+        "description": description,
+        "file_name": file_name,
+        "team": team,
+        "idempotency_key": request.headers.get("idempotency-key"),
+    }
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind in ARCHIVE_TYPES:
+        submission_id = await receive_raw(request, web, asker, given)
+    else:
+        boundary = boundary_of(request.headers.get("content-type", ""))
+        submission_id = await receive_form(request, web, asker, given, boundary)
+    return await run_in_threadpool(_accepted, web, asker, submission_id)
+
+
+async def receive_raw(request: Request, web: Web, asker: Credentials, given: dict[str, str | None]) -> str:
+    """Take an archive that is the body."""
+    order = order_of(given)
+    announced = announced_sha256(request.headers)
+    admission = await run_in_threadpool(admit, web, asker, order)
+    async with web.gate.spool(announced_size(request)) as spool:
+        async for chunk in at_a_decent_pace(request.stream(), web.gate.limits):
+            await spool.write(chunk)
+        spooled = await spool.finish()
+        check_sha256(announced, spooled.sha256)
+        return str(await run_in_threadpool(receiving.keep, web.services, admission, order, spooled))
+
+
+async def receive_form(
+    request: Request, web: Web, asker: Credentials, given: dict[str, str | None], boundary: bytes
+) -> str:
+    """Take an archive that is the part `predictions` of a form."""
+    await run_in_threadpool(_require, web, asker)
+    # The digest of a form covers its framing too; it is not the archive's.
+    if announced_sha256(request.headers) is not None:
+        raise MalformedRequest("Send the archive as the raw body to have its digest checked.")
+    async with web.gate.spool(announced_size(request)) as spool:
+        reader = FormReader(boundary, spool, file_field="predictions")
+        form = await reader.read(at_a_decent_pace(request.stream(), web.gate.limits))
+        order = order_of(_merged(given, form))
+        if form.file_name is None:
+            raise ValidationFailed((InvalidValue("body/predictions", "the archive is missing"),))
+        spooled = await spool.finish()
+        admission = await run_in_threadpool(admit, web, asker, order)
+        return str(await run_in_threadpool(receiving.keep, web.services, admission, order, spooled))
+
+
+def order_of(given: dict[str, str | None]) -> Order:
+    """Read an order from the fields of a request.
+
+    Raises:
+        ValidationFailed: Fields are missing.
+    """
+    missing = [InvalidValue(name, "is missing") for name in _FIELDS if not given.get(name)]
+    if missing:
+        raise ValidationFailed(tuple(missing))
+    file_name = given.get("file_name") or "predictions.zip"
+    return Order(
+        benchmark=given["benchmark"] or "",
+        phase=given["phase"] or "",
+        method=given["method"] or "",
+        method_name=given.get("method_name") or None,
+        description=given.get("description") or "",
+        file_name=file_name,
+        team=given.get("team") or None,
+        idempotency_key=given.get("idempotency_key"),
+    )
+
+
+def announced_size(request: Request) -> int | None:
+    """Read Content-Length; None when the body comes in chunks."""
+    value = request.headers.get("content-length")
+    return int(value) if value is not None and re.fullmatch(r"[0-9]{1,18}", value) else None
+
+
+def admit(web: Web, asker: Credentials, order: Order) -> Admission:
+    """Ask whether the upload may begin; blocks."""
+    with web.services.snapshot() as session:
+        return receiving.admit(session, web.identities.require(session, asker), order)
+
+
+def _require(web: Web, asker: Credentials) -> None:
+    with web.services.snapshot() as session:
+        web.identities.require(session, asker)
+
+
+def _merged(given: dict[str, str | None], form: Form) -> dict[str, str | None]:
+    return {**given, **form.fields, "file_name": form.fields.get("file_name") or form.file_name}
+
+
+def _accepted(web: Web, asker: Credentials, submission_id: str) -> Response:
+    def work(session: Session, identity: Identity | None) -> Response:
+        del identity
+        submission = submissions.find(session, submission_id)
+        document = rendering.submission_document(submission, web.services.blobs, owned=True)
+        headers = {
+            "Location": document.links.self,
+            "Retry-After": str(POLL_S),
+            "ETag": f'"{submission.version}o"',
+        }
+        return json_response(document, status=202, headers=headers)
+
+    return read(web, asker, work)
+
+
+@router.get(
+    "",
+    summary="The submissions of your team",
+    responses=answers(
+        NotAuthenticated,
+        errors.TooManyRequests,
+        NotFound,
+        Forbidden,
+        ValidationFailed,
+        s200=document_answer("Latest first.", documents.SubmissionList),
+    ),
+)
+def list_submissions(
+    *,
+    web: WebDependency,
+    asker: Asker,
+    benchmark: Text = None,
+    phase: Text = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
+    offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
+) -> Response:
+    """List what the token's team, or the user's teams, sent."""
+
+    def work(session: Session, identity: Identity | None) -> Response:
+        if identity is None:
+            raise MissingToken
+        chosen = None
+        if phase or benchmark:
+            if not (phase and benchmark):
+                raise ValidationFailed((InvalidValue("query", "give benchmark and phase together"),))
+            chosen = benchmarks.find_phase(session, benchmark, phase)
+        teams = [identity.team] if identity.team else accounts.teams_of(session, identity.user)
+        rows = [
+            row
+            for team in teams
+            for row in submissions.list_of_team(session, team, phase=chosen, limit=limit, offset=offset)
+        ]
+        return json_response(documents.SubmissionList(submissions=[rendering.submission_summary(row) for row in rows]))
+
+    return read(web, asker, work)

@@ -1,0 +1,1 @@
+"""The pages people see: HTML rendered on the server, complete without JavaScript."""

@@ -1,0 +1,101 @@
+"""Pages for everybody: home, leaderboards, methods, comparison, the list of problems."""
+
+from fastapi import APIRouter
+from sqlalchemy import select
+from sqlalchemy.orm import Session, joinedload
+from starlette.responses import RedirectResponse, Response
+
+from evaluator.protocol import PROTOCOLS
+from server import benchmarks, ranking, submissions
+from server.api.problems import all_errors
+from server.errors import NotFound
+from server.models import Method, Phase, Submission, SubmissionState, Team, User
+from server.pages import tables
+from server.pages.rendering import Context
+from server.pages.visits import VisitDependency
+
+router = APIRouter(include_in_schema=False)
+
+SHOWN_AT_HOME = 3
+"""Rows of each phase's podium."""
+
+
+@router.get("/")
+def home(visit: VisitDependency) -> Response:
+    """Show what there is and who leads."""
+
+    def work(session: Session, user: User | None) -> Context:
+        del user
+        listed = benchmarks.list_benchmarks(session)
+        phases = [phase for benchmark in listed for phase in benchmark.phases]
+        leaders = {phase.id: ranking.leaderboard(session, phase).rows[:SHOWN_AT_HOME] for phase in phases}
+        return {"benchmarks": listed, "leaders": leaders}
+
+    return visit.show("home.html", work)
+
+
+@router.get("/benchmarks/{benchmark}")
+def benchmark_home(benchmark: str, visit: VisitDependency) -> Response:
+    """Go to the benchmark on the home page."""
+    with visit.web.services.snapshot() as session:
+        slug = benchmarks.find_benchmark(session, benchmark).slug
+    return RedirectResponse(f"/#{slug}", 303)
+
+
+@router.get("/benchmarks/{benchmark}/{phase}")
+def leaderboard(benchmark: str, phase: str, visit: VisitDependency) -> Response:
+    """Show the ranking of a phase."""
+
+    def work(session: Session, user: User | None) -> Context:
+        del user
+        board = ranking.leaderboard(session, benchmarks.find_phase(session, benchmark, phase))
+        labels = tables.labels_of(board.rows)
+        view = tables.View.from_query(visit.request.query_params, labels)
+        return {
+            "phase": board.phase,
+            "rows": tables.sorted_rows(board.rows, view),
+            "labels": labels,
+            "view": view,
+            "best": tables.best_values(board.rows, labels, view.metric),
+            "protocol": PROTOCOLS.get(board.phase.protocol),
+            "tables": tables,
+        }
+
+    return visit.show("leaderboard.html", work)
+
+
+@router.get("/methods/{team}/{method}")
+def method_page(team: str, method: str, visit: VisitDependency) -> Response:
+    """Show a method and those of its submissions that the visitor may see."""
+
+    def work(session: Session, user: User | None) -> Context:
+        found = session.scalar(select(Method).join(Team).where(Team.slug == team, Method.slug == method))
+        rows = _submissions_of(session, found) if found else []
+        shown = [row for row in rows if submissions.visible_to(row, user)]
+        # A method nobody may see a submission of is as unknown as one that does not exist.
+        if found is None or not shown:
+            raise NotFound(f"there is no method {method[:64]!r} of team {team[:64]!r}")
+        scores = {row.id: ranking.ranking_score(row) for row in shown if row.state is SubmissionState.SCORED}
+        return {"method": found, "submissions": shown, "scores": scores, "tables": tables}
+
+    return visit.show("method.html", work)
+
+
+@router.get("/problems")
+@router.get("/problems/{code}")
+def problem_list(visit: VisitDependency, code: str = "") -> Response:
+    """Explain every code of a problem document."""
+    known = all_errors()
+    if code and code not in known:
+        raise NotFound(f"there is no problem code {code[:64]!r}")
+    return visit.show("problems.html", lambda *_: {"problems": known, "chosen": code})
+
+
+def _submissions_of(session: Session, method: Method) -> list[Submission]:
+    query = (
+        select(Submission)
+        .where(Submission.method_id == method.id)
+        .options(joinedload(Submission.phase).joinedload(Phase.benchmark))
+        .order_by(Submission.created_at.desc())
+    )
+    return list(session.scalars(query))
