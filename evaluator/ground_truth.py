@@ -1,8 +1,9 @@
 """Ground truth as arrays: cameras, boxes and ignore regions of a set of images; reading and storing it."""
 
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
@@ -10,6 +11,7 @@ import msgspec
 import numpy as np
 
 from evaluator import array_file, ground_truth_json
+from evaluator.decoding import garbage_collection_paused
 from evaluator.errors import DataError
 from evaluator.predictions import Float64Array, IndexArray
 
@@ -127,6 +129,11 @@ def read_ground_truth(source: Path) -> GroundTruth:
     Raises:
         GroundTruthError: Files are missing, unreadable or wrong; all of them are listed.
     """
+    with garbage_collection_paused():
+        return _read(source)
+
+
+def _read(source: Path) -> GroundTruth:
     documents: dict[str, ground_truth_json.Document] = {}
     found: list[str] = []
     for file_name, data in _json_files(source):
@@ -197,24 +204,26 @@ def _assemble(documents: dict[str, ground_truth_json.Document]) -> GroundTruth:
         labels=tuple(labels),
         prototypes=tuple(prototypes),
         intrinsics_px=_rows([(s.fx, s.fy, s.u0, s.v0) for s in sensors], 4),
-        sensor_from_vehicle=_rows([s.sensor_T_ISO_8855 for s in sensors], 3, 4),
+        sensor_from_vehicle=_rows([chain(*s.sensor_T_ISO_8855) for s in sensors], 3, 4),
         image_index=_indices([index for index, _ in objects]),
-        label_index=_indices([labels.index(item.label) for _, item in objects]),
-        prototype_index=_indices([_position(prototypes, item.box_3d.type) for _, item in objects]),
+        label_index=_positions(labels, [item.label for _, item in objects]),
+        prototype_index=_positions(prototypes, [item.box_3d.type for _, item in objects]),
         center_m=_rows([item.box_3d.center for _, item in objects], 3),
         dimensions_m=_rows([item.box_3d.dimensions for _, item in objects], 3),
         rotation=_rows([item.box_3d.rotation for _, item in objects], 4),
-        amodal_px=_rows([box and box[0] for box in boxes_2d], 4),
-        modal_px=_rows([box and box[1] for box in boxes_2d], 4),
-        occlusion=_rows([_or_nan(item.occlusion) for _, item in objects]),
-        truncation=_rows([_or_nan(item.truncation) for _, item in objects]),
+        amodal_px=_rows([box[0] for box in boxes_2d if box], 4),
+        modal_px=_rows([box[1] for box in boxes_2d if box], 4),
+        occlusion=np.array([_or_nan(item.occlusion) for _, item in objects]),
+        truncation=np.array([_or_nan(item.truncation) for _, item in objects]),
         ignore_image_index=_indices([index for index, _ in regions]),
         ignore_px=_rows([item.box_2d for _, item in regions], 4),
     )
 
 
-def _position(names: list[str], name: str | None) -> int:
-    return -1 if name is None else names.index(name)
+def _positions(names: list[str], values: list[str | None] | list[str]) -> IndexArray:
+    """Return the position of each value among the names, -1 for None."""
+    position = {name: index for index, name in enumerate(names)}
+    return _indices([-1 if value is None else position[value] for value in values])
 
 
 def _or_nan(value: float | None) -> float:
@@ -225,5 +234,6 @@ def _indices(values: list[int]) -> IndexArray:
     return np.array(values, dtype=np.int32)
 
 
-def _rows(values: list[Any], *shape: int) -> Float64Array:
-    return np.array(values, dtype=np.float64).reshape(-1, *shape)
+def _rows(values: Iterable[Iterable[float]], *shape: int) -> Float64Array:
+    """Return an array of rows of this shape; four times as fast as `numpy.array` on a list of tuples."""
+    return np.fromiter(chain.from_iterable(values), dtype=np.float64).reshape(-1, *shape)
