@@ -13,7 +13,8 @@ perfect predictions score 1), and unmatched predictions in ignore regions are no
 import msgspec
 import numpy as np
 
-from evaluator.comparison.boxes import BoolArray, Boxes, ClassBoxes, RowArray
+from evaluator.candidates import RowArray
+from evaluator.comparison.boxes import BoolArray, Boxes, ClassBoxes
 from evaluator.comparison.centers import heading_errors, near_pairs, scale_errors_by_greatest, space_distance
 from evaluator.comparison.means import defined_mean
 from evaluator.predictions import Float64Array
@@ -88,7 +89,7 @@ def rank_in_image(boxes: Boxes) -> RowArray:
     """Return (N,) how many earlier rows are of the same image."""
     order = np.argsort(boxes.image_index, kind="stable")
     image = boxes.image_index[order]
-    rank = np.empty(len(boxes), dtype=np.intp)
+    rank = np.empty(len(boxes), dtype=np.int64)
     rank[order] = np.arange(len(boxes)) - np.searchsorted(image, image)
     return rank
 

@@ -6,7 +6,8 @@ order, so a smaller row means a higher score.
 
 import numpy as np
 
-from evaluator.comparison.boxes import BoolArray, RowArray
+from evaluator.candidates import RowArray
+from evaluator.comparison.boxes import BoolArray
 from evaluator.predictions import Float64Array
 
 
@@ -63,7 +64,7 @@ def heaviest_assignments(weight: Float64Array) -> RowArray:
     """
     rows, columns = weight.shape
     owner = np.full(columns, -1)
-    owners = np.empty((rows, columns), dtype=np.intp)
+    owners = np.empty((rows, columns), dtype=np.int64)
     for row in range(rows):
         _add_row(weight, owner, row)
         owners[row] = owner
@@ -105,7 +106,7 @@ def components(prediction: RowArray, ground_truth: RowArray) -> RowArray:
     while True:
         before = name
         for side in (left, right):
-            smallest = np.full(side.max(initial=-1) + 1, np.iinfo(np.intp).max)
+            smallest = np.full(side.max(initial=-1) + 1, np.iinfo(np.int64).max)
             np.minimum.at(smallest, side, name)
             name = smallest[side]
         if np.array_equal(name, before):

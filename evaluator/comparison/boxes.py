@@ -5,24 +5,21 @@ here, the heading is the direction of the box's x axis on the ground plane. This
 it measures nothing.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluator.candidates import RowArray, pairs_within_groups
 from evaluator.errors import UsageError
 from evaluator.ground_truth import GroundTruth
+from evaluator.overlap import corners_px, covered_fractions
 from evaluator.predictions import Float64Array, Predictions
 
 BoolArray = NDArray[np.bool_]
-RowArray = NDArray[np.intp]
 
 IGNORE_COVERAGE = 0.7
 """A prediction covered more than this by one ignore region is excused (paper, section 2D Average Precision)."""
-
-PAIRS_PER_BLOCK = 1_000_000
-"""Pairs looked at together: bounds the memory at about 100 MB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +121,7 @@ def _one_class(
 def _boxes(source: Predictions | GroundTruth, rows: RowArray) -> Boxes:
     """Take rows of either kind of array set as upright boxes."""
     return Boxes(
-        image_index=source.image_index[rows].astype(np.intp),
+        image_index=source.image_index[rows].astype(np.int64),
         center_m=source.center_m[rows],
         dimensions_m=source.dimensions_m[rows],
         yaw_rad=heading(source.rotation[rows]),
@@ -162,37 +159,9 @@ def lies_in_ignore_region(predictions: Predictions, ground_truth: GroundTruth) -
         (N,) True where one region covers more than `IGNORE_COVERAGE` of the box. Without regions all are False.
     """
     covered = np.zeros(len(predictions), dtype=bool)
-    for prediction, region in pair_blocks(predictions.image_index, ground_truth.ignore_image_index):
-        box, other = predictions.modal_px[prediction], ground_truth.ignore_px[region]
-        low = np.maximum(box[:, :2], other[:, :2])
-        high = np.minimum(box[:, :2] + box[:, 2:], other[:, :2] + other[:, 2:])
-        overlap = np.maximum(high - low + 1, 0).prod(axis=1)
-        covered[prediction[overlap > IGNORE_COVERAGE * ((box[:, 2] + 1) * (box[:, 3] + 1) + 1e-10)]] = True
+    boxes, regions = corners_px(predictions.modal_px), corners_px(ground_truth.ignore_px)
+    groups = predictions.image_index.astype(np.int64), ground_truth.ignore_image_index.astype(np.int64)
+    for prediction, region in pairs_within_groups(*groups):
+        inside = covered_fractions(regions[:, region], boxes[:, prediction]) > IGNORE_COVERAGE
+        covered[prediction[inside]] = True
     return covered
-
-
-def pair_blocks(
-    prediction_image: NDArray[np.integer], other_image: NDArray[np.integer], *, limit: int = PAIRS_PER_BLOCK
-) -> Iterator[tuple[RowArray, RowArray]]:
-    """Yield every pair (prediction, other) of the same image, in blocks of about `limit` pairs.
-
-    Args:
-        prediction_image: (N,) image of each prediction, in any order.
-        other_image: (M,) image of each ground-truth box or region, ascending.
-        limit: Pairs to a block; a block is at least one prediction's pairs.
-
-    Yields:
-        Two (P,) row arrays, ordered by prediction, then by other row. Nothing when no pair exists.
-    """
-    start = np.searchsorted(other_image, prediction_image, side="left")
-    count = np.searchsorted(other_image, prediction_image, side="right") - start
-    total = np.concatenate([[0], np.cumsum(count)])
-    first = 0
-    while first < len(count):
-        last = max(first + 1, int(np.searchsorted(total, total[first] + limit, side="right")) - 1)
-        rows = np.arange(first, last)
-        prediction = np.repeat(rows, count[first:last])
-        within = np.arange(len(prediction)) - np.repeat(total[first:last] - total[first], count[first:last])
-        if len(prediction):
-            yield prediction, start[prediction] + within
-        first = last

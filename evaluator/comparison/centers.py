@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from evaluator.comparison.boxes import Boxes, ClassBoxes, RowArray, pair_blocks
+from evaluator.candidates import RowArray, pairs_within_groups
+from evaluator.comparison.boxes import Boxes, ClassBoxes
 from evaluator.predictions import Float64Array
 
 Distance = Callable[[Boxes, Boxes], Float64Array]
@@ -25,9 +26,9 @@ def space_distance(first: Boxes, second: Boxes) -> Float64Array:
 def near_pairs(boxes: ClassBoxes, distance: Distance, max_m: float) -> tuple[RowArray, RowArray, Float64Array]:
     """Return the pairs of one image with centres nearer than `max_m`: prediction, ground-truth row, metres."""
     found: list[tuple[RowArray, RowArray, Float64Array]] = [
-        (np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0))
+        (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))
     ]
-    for prediction, ground_truth in pair_blocks(boxes.predictions.image_index, boxes.ground_truth.image_index):
+    for prediction, ground_truth in pairs_within_groups(boxes.predictions.image_index, boxes.ground_truth.image_index):
         apart = distance(boxes.predictions.take(prediction), boxes.ground_truth.take(ground_truth))
         near = apart < max_m
         found.append((prediction[near], ground_truth[near], apart[near]))

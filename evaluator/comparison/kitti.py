@@ -17,8 +17,9 @@ What applies and what does not:
 import msgspec
 import numpy as np
 
+from evaluator.candidates import RowArray, pairs_within_groups
 from evaluator.comparison.assignment import match_in_score_order
-from evaluator.comparison.boxes import BoolArray, ClassBoxes, RowArray, pair_blocks
+from evaluator.comparison.boxes import BoolArray, ClassBoxes
 from evaluator.comparison.means import defined_mean
 from evaluator.comparison.overlap import may_overlap, overlaps
 from evaluator.predictions import Float64Array
@@ -102,10 +103,12 @@ def overlapping_pairs(boxes: ClassBoxes) -> tuple[RowArray, RowArray, Float64Arr
     """Return the pairs of one image whose footprints touch: prediction row, ground-truth row, BEV IoU, 3D IoU."""
     found = [
         (prediction[near], ground_truth[near])
-        for prediction, ground_truth in pair_blocks(boxes.predictions.image_index, boxes.ground_truth.image_index)
+        for prediction, ground_truth in pairs_within_groups(
+            boxes.predictions.image_index, boxes.ground_truth.image_index
+        )
         for near in [may_overlap(boxes.predictions.take(prediction), boxes.ground_truth.take(ground_truth))]
     ]
-    empty = np.empty(0, dtype=np.intp)
+    empty = np.empty(0, dtype=np.int64)
     prediction = np.concatenate([empty, *(pair[0] for pair in found)])
     ground_truth = np.concatenate([empty, *(pair[1] for pair in found)])
     bev, volume = overlaps(boxes.predictions.take(prediction), boxes.ground_truth.take(ground_truth))

@@ -16,8 +16,9 @@ What differs on purpose:
 import msgspec
 import numpy as np
 
+from evaluator.candidates import RowArray
 from evaluator.comparison.assignment import match_in_score_order
-from evaluator.comparison.boxes import BoolArray, ClassBoxes, RowArray
+from evaluator.comparison.boxes import BoolArray, ClassBoxes
 from evaluator.comparison.centers import ground_distance, heading_errors, near_pairs, scale_errors
 from evaluator.comparison.means import defined_mean
 from evaluator.predictions import Float64Array

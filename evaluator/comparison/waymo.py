@@ -22,8 +22,9 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
+from evaluator.candidates import RowArray, pairs_within_groups
 from evaluator.comparison.assignment import components, heaviest_assignments
-from evaluator.comparison.boxes import BoolArray, Boxes, ClassBoxes, RowArray, pair_blocks
+from evaluator.comparison.boxes import BoolArray, Boxes, ClassBoxes
 from evaluator.comparison.means import defined_mean
 from evaluator.comparison.overlap import may_overlap, overlaps
 from evaluator.predictions import Float64Array
@@ -156,7 +157,7 @@ def _evaluate_class(boxes: ClassBoxes, parameters: WaymoParameters) -> WaymoClas
 def overlap_pairs(boxes: ClassBoxes, min_iou: float) -> WeightedPairs:
     """Return the pairs whose 3D IoU is at least `min_iou`, weighed by it; every affinity is 1."""
     found = [WeightedPairs(prediction=_NO_ROWS, ground_truth=_NO_ROWS, weight=_NOTHING, affinity=_NOTHING)]
-    for prediction, ground_truth in pair_blocks(boxes.predictions.image_index, boxes.ground_truth.image_index):
+    for prediction, ground_truth in pairs_within_groups(boxes.predictions.image_index, boxes.ground_truth.image_index):
         near = may_overlap(boxes.predictions.take(prediction), boxes.ground_truth.take(ground_truth))
         rows = prediction[near], ground_truth[near]
         _, iou = overlaps(boxes.predictions.take(rows[0]), boxes.ground_truth.take(rows[1]))
@@ -168,7 +169,7 @@ def overlap_pairs(boxes: ClassBoxes, min_iou: float) -> WeightedPairs:
 def let_pairs(boxes: ClassBoxes, min_iou: float, parameters: WaymoParameters) -> WeightedPairs:
     """Return the pairs whose longitudinal error is tolerated and whose aligned 3D IoU is at least `min_iou`."""
     found = [WeightedPairs(prediction=_NO_ROWS, ground_truth=_NO_ROWS, weight=_NOTHING, affinity=_NOTHING)]
-    for block in pair_blocks(boxes.predictions.image_index, boxes.ground_truth.image_index):
+    for block in pairs_within_groups(boxes.predictions.image_index, boxes.ground_truth.image_index):
         prediction, ground_truth = block
         camera_m = boxes.camera_m[boxes.ground_truth.image_index[ground_truth]]
         seen = boxes.predictions.center_m[prediction] - camera_m
@@ -220,7 +221,7 @@ def moved_to(boxes: Boxes, center_m: Float64Array) -> Boxes:
     )
 
 
-_NO_ROWS = np.empty(0, dtype=np.intp)
+_NO_ROWS = np.empty(0, dtype=np.int64)
 _NOTHING = np.empty(0)
 
 

@@ -42,7 +42,7 @@ def test_score_order_prefers_the_higher_score_over_the_better_fit() -> None:
 
 def test_no_pairs_match_nothing() -> None:
     """Without candidate pairs nothing is matched."""
-    none = np.empty(0, dtype=np.intp)
+    none = np.empty(0, dtype=np.int64)
     assert len(match_in_score_order(none, none, np.empty(0), ground_truth_count=3)) == 0
     assert len(components(none, none)) == 0
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluator.comparison.boxes import camera_positions, class_boxes, heading, pair_blocks
+from evaluator.comparison.boxes import camera_positions, class_boxes, heading
 from evaluator.errors import UsageError
 from tests.array_factories import Box, make_ground_truth, make_predictions
 
@@ -59,16 +59,3 @@ def test_other_images_are_refused() -> None:
     """Predictions read with another image list cannot be compared."""
     with pytest.raises(UsageError, match="image list"):
         class_boxes(make_predictions([], images=1), make_ground_truth([], images=2))
-
-
-@pytest.mark.parametrize("limit", [1, 3, 1000])
-def test_pairs_are_all_pairs_of_the_same_image_whatever_the_block_size(limit: int) -> None:
-    """Blocks together hold each pair once."""
-    prediction_image, other_image = np.array([2, 0, 1, 2, 3]), np.array([0, 0, 2, 2, 2, 4])
-    pairs = [
-        pair
-        for block in pair_blocks(prediction_image, other_image, limit=limit)
-        for pair in zip(block[0].tolist(), block[1].tolist(), strict=True)
-    ]
-    expected = [(p, o) for p in range(5) for o in range(6) if prediction_image[p] == other_image[o]]
-    assert pairs == expected

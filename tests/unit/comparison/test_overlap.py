@@ -10,7 +10,7 @@ from evaluator.comparison.overlap import footprint_corners, may_overlap, overlap
 def box(x: float = 0.0, y: float = 0.0, z: float = 0.0, *, yaw: float = 0.0, length: float = 4.0) -> Boxes:
     """Return one box, 2 m wide and 1.5 m high."""
     return Boxes(
-        image_index=np.zeros(1, dtype=np.intp),
+        image_index=np.zeros(1, dtype=np.int64),
         center_m=np.array([[x, y, z]]),
         dimensions_m=np.array([[length, 2.0, 1.5]]),
         yaw_rad=np.array([yaw]),
@@ -52,6 +52,6 @@ def test_far_and_flat_boxes_cannot_overlap() -> None:
 
 def test_no_pairs_give_no_overlaps() -> None:
     """Empty in, empty out."""
-    none = box().take(np.empty(0, dtype=np.intp))
+    none = box().take(np.empty(0, dtype=np.int64))
     bev, volume = overlaps(none, none)
     assert len(bev) == len(volume) == 0
