@@ -1,4 +1,4 @@
-"""The embedded shape: broker, scheduler, worker and web server as children of one process.
+"""The embedded shape: broker, worker and web server as children of one process.
 
 The broker is a Valkey on a unix socket in the data folder, with an append-only file. Nothing here is needed when
 a broker is named in the settings; then each part is started by itself (docs/operating.md).
@@ -43,7 +43,7 @@ def sole_owner(settings: Settings) -> Iterator[None]:
 
 
 def embedded_supervisor(settings: Settings, *, host: str, port: int, log_folder: Path | None = None) -> Supervisor:
-    """Plan the four processes of one installation.
+    """Plan the three processes of one installation.
 
     Args:
         settings: The installation; its broker must be the embedded one.
@@ -51,23 +51,24 @@ def embedded_supervisor(settings: Settings, *, host: str, port: int, log_folder:
         port: And its port.
         log_folder: One file per process goes here; None: everything goes to our own output.
     """
-    environment = _environment(settings)
+    environment = process_environment(settings)
     children = [
         _broker(settings, environment),
         _web(environment, host, port),
-        _worker(settings, environment),
-        _scheduler(settings, environment),
+        _worker(environment),
     ]
     for child in children:
         child.log_file = log_folder / f"{child.name}.log" if log_folder else None
     return Supervisor(children)
 
 
-def _environment(settings: Settings) -> dict[str, str]:
-    """Give children the same settings, and our packages."""
+def process_environment(settings: Settings) -> dict[str, str]:
+    """Give children these settings, and no other ones that stand in our environment; and our packages."""
+    names = {f"CS3D_{name.upper()}" for name in Settings.model_fields}
+    others = {name: value for name, value in os.environ.items() if name not in names}
     python_path = os.pathsep.join(filter(None, [str(PYTHON_ROOT), os.environ.get("PYTHONPATH")]))
-    given = {**os.environ, **settings.environment(), "PYTHONPATH": python_path}
-    return {**given, "CS3D_DATA_DIR": str(settings.data_dir.absolute())}
+    data_dir = str(settings.data_dir.absolute())
+    return {**others, **settings.environment(), "CS3D_DATA_DIR": data_dir, "PYTHONPATH": python_path}
 
 
 def _broker(settings: Settings, environment: dict[str, str]) -> Child:
@@ -75,7 +76,7 @@ def _broker(settings: Settings, environment: dict[str, str]) -> Child:
     path = settings.broker_socket
     folder = settings.data_dir.absolute() / "broker"
     folder.mkdir(parents=True, exist_ok=True)
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _make_private_folder(path.parent)
     options = {
         "port": "0",
         "unixsocket": str(path),
@@ -89,6 +90,18 @@ def _broker(settings: Settings, environment: dict[str, str]) -> Child:
     }
     command = [broker_program(), *(part for name, value in options.items() for part in (f"--{name}", value))]
     return Child(name="broker", command=command, environment=environment, is_ready=lambda: _answers_ping(path))
+
+
+def _make_private_folder(folder: Path) -> None:
+    """Make the socket's folder; one in the temporary directory must not be somebody else's trap.
+
+    Raises:
+        Unavailable: It belongs to another user.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        message = f"{folder} belongs to another user; set TMPDIR or use a data folder with a shorter path"
+        raise Unavailable(message)
 
 
 def broker_program() -> str:
@@ -123,27 +136,27 @@ def _answers_ping(path: Path) -> bool:
         return False
 
 
+def web_command(host: str, port: int, *options: str) -> list[str]:
+    """Compose the command of one web server."""
+    command = [sys.executable, "-m", "uvicorn", "--factory", "server.web:application", "--no-server-header"]
+    return [*command, "--host", host, "--port", str(port), "--timeout-graceful-shutdown", "3", *options]
+
+
+def worker_command(*options: str) -> list[str]:
+    """Compose the command of one worker."""
+    return [sys.executable, "-m", "celery", "--app", "worker.app", "worker", "--loglevel", "INFO", *options]
+
+
 def _web(environment: dict[str, str], host: str, port: int) -> Child:
     """Plan the web server."""
-    command = [sys.executable, "-m", "uvicorn", "--factory", "server.web:application"]
-    command += ["--host", host, "--port", str(port), "--no-server-header", "--timeout-graceful-shutdown", "3"]
+    command = web_command(host, port)
     return Child(name="web", command=command, environment=environment, is_ready=lambda: listens(host, port))
 
 
-def _worker(settings: Settings, environment: dict[str, str]) -> Child:
-    """Plan the worker; it may end what it is scoring before it stops."""
-    command = [sys.executable, "-m", "celery", "--app", "worker.app", "worker", "--loglevel", "INFO"]
-    command += ["--hostname", "embedded@%h", "--without-mingle", "--without-gossip"]
-    concurrency = settings.worker_concurrency or os.cpu_count() or 1
-    command += ["--concurrency", str(concurrency)]
+def _worker(environment: dict[str, str]) -> Child:
+    """Plan the worker; it may end what it is scoring before it stops. It also sweeps, so nothing has to be scheduled."""
+    command = worker_command("--hostname", "embedded@%h", "--without-mingle", "--without-gossip")
     return Child(name="worker", command=command, environment=environment, is_ready=lambda: True, stop_within_s=30)
-
-
-def _scheduler(settings: Settings, environment: dict[str, str]) -> Child:
-    """Plan the scheduler, which starts the sweeper."""
-    schedule = str(settings.data_dir.absolute() / "schedule")
-    command = [sys.executable, "-m", "celery", "--app", "worker.app", "beat", "--schedule", schedule, "--pidfile="]
-    return Child(name="scheduler", command=command, environment=environment, is_ready=lambda: True)
 
 
 def listens(host: str, port: int) -> bool:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Never
 
 import structlog
 
@@ -113,6 +113,21 @@ class Supervisor:
         except BaseException:
             self.stop()
             raise
+
+    @contextlib.contextmanager
+    def running(self) -> Iterator[None]:
+        """Run the children for as long as the block lasts, however it ends."""
+        self.start()
+        try:
+            yield
+        finally:
+            self.stop()
+
+    def keep_running(self) -> Never:
+        """Keep the children running until an exception (Ctrl-C) ends it."""
+        while True:
+            self.check()
+            time.sleep(0.2)
 
     def check(self) -> None:
         """Restart what ended, each after its pause. Call it a few times a second."""

@@ -1,0 +1,10 @@
+"""`cs3d-admin`: what maintainers do, from an empty machine to a running benchmark.
+
+main.py          the command line: settings, errors, output
+command.py       what a command is and what it gives back
+installation.py  init, migrate, serve, worker
+people.py        create-user, create-team, add-member, create-token
+benchmarks.py    create-benchmark, create-phase, import-ground-truth, grant
+submissions.py   requeue, publish, status
+demo.py          demo: a whole benchmark with three imaginary methods
+"""

@@ -1,0 +1,65 @@
+"""What a command of `cs3d-admin` is, and what it gives back."""
+
+import argparse
+import getpass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.table import Table
+
+from server.services import Services
+
+DONE, REFUSED, WRONG_USAGE = 0, 1, 2
+"""Exit statuses."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What a command did: values for programs, a sentence or tables for people."""
+
+    data: dict[str, Any]
+    """Printed as JSON with --json."""
+    text: str = ""
+    tables: Sequence[Table] = field(default=())
+    status: int = DONE
+
+
+Run = Callable[[argparse.Namespace, Services], Outcome]
+Subparsers = Any
+"""argparse names the type of its sub parsers only privately."""
+
+
+def add(subparsers: Subparsers, name: str, run: Run) -> argparse.ArgumentParser:
+    """Add a command that `run` carries out; its docstring's first line is the help."""
+    summary = (run.__doc__ or "").split("\n", maxsplit=1)[0]
+    parser: argparse.ArgumentParser = subparsers.add_parser(name, help=summary, description=summary)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument(
+        "--data-dir", metavar="FOLDER", help="the installation's folder (default: CS3D_DATA_DIR or ./data)"
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def actor() -> str:
+    """Name who runs the command, for the audit trail."""
+    return f"admin:{getpass.getuser()}"
+
+
+def table(*columns: str, rows: Sequence[Sequence[object]]) -> Table:
+    """Make a plain table; None is shown as n/a, numbers stand right."""
+    result = Table(box=None, header_style="bold", padding=(0, 1, 0, 0), pad_edge=False)
+    for position, column in enumerate(columns):
+        numeric = any(isinstance(row[position], int | float) for row in rows)
+        result.add_column(column, justify="right" if numeric else "left", no_wrap=True)
+    for row in rows:
+        result.add_row(*map(_cell, row))
+    return result
+
+
+def _cell(value: object) -> str:
+    """Write down one value; scores in per cent with one decimal, as the field prints them."""
+    if value is None:
+        return "n/a"
+    return f"{100 * value:.1f}" if isinstance(value, float) else str(value)

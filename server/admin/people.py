@@ -1,0 +1,86 @@
+"""Commands about users, teams and tokens."""
+
+import argparse
+import secrets
+import sys
+from datetime import UTC, datetime, timedelta
+
+from server import accounts
+from server.admin.command import Outcome, Subparsers, actor, add
+from server.services import Services
+
+
+def add_commands(subparsers: Subparsers) -> None:
+    """Add this module's commands."""
+    user = add(subparsers, "create-user", create_user)
+    user.add_argument("email")
+    user.add_argument("--name", required=True, help="as shown to others")
+    user.add_argument("--maintainer", action="store_true", help="may see and do everything")
+    user.add_argument("--password-stdin", action="store_true", help="read the password from standard input")
+    team = add(subparsers, "create-team", create_team)
+    team.add_argument("team", help="short name for addresses: letters, digits, hyphens")
+    team.add_argument("--name", required=True, help="as shown on leaderboards")
+    team.add_argument("--member", action="append", default=[], metavar="EMAIL", help="may be given several times")
+    member = add(subparsers, "add-member", add_member)
+    member.add_argument("team")
+    member.add_argument("email")
+    token = add(subparsers, "create-token", create_token)
+    token.add_argument("email", help="who it acts for")
+    token.add_argument("team", help="for which of that user's teams")
+    token.add_argument("--name", default="cs3d-admin", help="what it is for")
+    token.add_argument("--days", type=int, metavar="N", help="ends after N days (default: never)")
+
+
+def create_user(args: argparse.Namespace, services: Services) -> Outcome:
+    """Create an account; without --password-stdin a password is generated and shown once."""
+    generated = not args.password_stdin
+    password = secrets.token_urlsafe(12) if generated else sys.stdin.readline().rstrip("\n")
+    with services.transaction() as session:
+        user = accounts.create_user(
+            session,
+            email=args.email,
+            name=args.name,
+            password=password,
+            is_maintainer=args.maintainer,
+            actor=actor(),
+        )
+        data = {"id": user.id, "email": user.email, "name": user.name, "maintainer": user.is_maintainer}
+    text = f"Created {'maintainer' if args.maintainer else 'user'} {args.email}."
+    if generated:
+        data["password"] = password
+        text += f" Password, shown only now: {password}"
+    return Outcome(data=data, text=text)
+
+
+def create_team(args: argparse.Namespace, services: Services) -> Outcome:
+    """Create a team with its members."""
+    with services.transaction() as session:
+        members = [accounts.find_user(session, email) for email in args.member]
+        team = accounts.create_team(session, slug=args.team, name=args.name, members=members, actor=actor())
+        data = {"id": team.id, "team": team.slug, "name": team.name, "members": [user.email for user in members]}
+    return Outcome(data=data, text=f"Created team {args.team} with {len(args.member)} members.")
+
+
+def add_member(args: argparse.Namespace, services: Services) -> Outcome:
+    """Put a user into a team."""
+    with services.transaction() as session:
+        team, user = accounts.find_team(session, args.team), accounts.find_user(session, args.email)
+        accounts.add_member(session, team, user, actor=actor())
+        data = {"team": team.slug, "email": user.email}
+    return Outcome(data=data, text=f"{args.email} is in team {args.team}.")
+
+
+def create_token(args: argparse.Namespace, services: Services) -> Outcome:
+    """Create an API token of a user for a team; it is shown once."""
+    expires_at = datetime.now(UTC) + timedelta(days=args.days) if args.days is not None else None
+    with services.transaction() as session:
+        token, secret = accounts.create_token(
+            session,
+            user=accounts.find_user(session, args.email),
+            team=accounts.find_team(session, args.team),
+            name=args.name,
+            expires_at=expires_at,
+            actor=actor(),
+        )
+        data = {"id": token.id, "token": secret, "expires_at": expires_at.isoformat() if expires_at else None}
+    return Outcome(data=data, text=f"Token, shown only now: {secret}")
