@@ -27,8 +27,8 @@ def run_on(connection: sa.Connection) -> None:
     )
     with connection.begin():
         if connection.dialect.name == "postgresql":
-            connection.execute(sa.text("SET LOCAL lock_timeout = '5s'"))
             connection.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
+            connection.execute(sa.text("SET LOCAL lock_timeout = '5s'"))
         context.run_migrations()
 
 

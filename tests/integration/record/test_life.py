@@ -8,7 +8,7 @@ import pytest
 
 from evaluator.results import Scores
 from server import lifecycle, ranking, submissions
-from server.errors import Forbidden, IllegalTransition, NotScored
+from server.errors import Forbidden, IllegalTransition, LeaseLost, NotScored
 from server.models import AttemptOutcome, Publication, SubmissionState
 from tests.services.installation import REALISTIC_CASE, Installation, zip_of
 from tests.services.mail_sink import MailSink
@@ -130,7 +130,7 @@ def test_cancelling_takes_the_submission_from_its_worker(installation: Installat
         submissions.cancel(session, submissions.find(session, submission_id), "user:1")
     with installation.services.transaction() as session:
         assert lifecycle.claim(session, submission_id, worker="w", lease_s=60) is None
-        with pytest.raises(lifecycle.LeaseLost):
+        with pytest.raises(LeaseLost):
             lifecycle.heartbeat(session, held, stage="validating", images_done=1, images_total=2)
     with installation.services.transaction() as session, pytest.raises(IllegalTransition):
         submissions.cancel(session, submissions.find(session, submission_id), "user:1")

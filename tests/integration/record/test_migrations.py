@@ -1,0 +1,47 @@
+"""Migrations on both databases."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from server import database
+from server.settings import Settings
+from tests.services.fixtures import Shape
+from tests.services.postgresql import PostgresqlServer
+from tests.services.worker import environment_of
+
+
+@pytest.fixture
+def empty_database(shape: Shape, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[str]:
+    """Give the URL of a database without tables."""
+    if shape == "embedded":
+        yield f"sqlite:///{tmp_path / 'empty.sqlite'}"
+    else:
+        server: PostgresqlServer = request.getfixturevalue("postgresql")
+        yield server.url(server.create_database())
+
+
+def test_up_down_up_without_drift(empty_database: str) -> None:
+    """Migrations can be taken back completely and applied again, and yield exactly the models."""
+    engine = database.create_engine(empty_database)
+    database.migrate(engine)
+    database.check_drift(engine)
+    database.downgrade(engine, "base")
+    assert sa.inspect(engine).get_table_names() == ["alembic_version"]
+    database.migrate(engine)
+    database.check_drift(engine)
+    engine.dispose()
+
+
+def test_two_processes_may_migrate_at_once(empty_database: str) -> None:
+    """Starting two servers on an empty database migrates it once, without an error."""
+    program = "import sys; from server import database as d; d.migrate(d.create_engine(sys.argv[1]))"
+    processes = [
+        subprocess.Popen([sys.executable, "-c", program, empty_database], env=environment_of(Settings()))
+        for _ in range(2)
+    ]
+    assert [process.wait(60) for process in processes] == [0, 0]

@@ -1,0 +1,123 @@
+"""The quota ledger, in both shapes."""
+
+import threading
+import uuid
+
+import pytest
+
+from server import benchmarks, database, lifecycle, quota
+from server.blobs import record_blob
+from server.errors import Conflict, PhaseClosed, QuotaExceeded, TooManyRejections
+from server.models import GroundTruthVersion
+from tests.services.installation import Installation
+
+
+def _set_rules(installation: Installation, **rules: int | None) -> None:
+    with installation.services.transaction() as session:
+        phase = benchmarks.find_phase(session, "cs3d", "test")
+        for name, value in rules.items():
+            setattr(phase, name, value)
+
+
+def _used(installation: Installation) -> int:
+    with installation.services.snapshot() as session:
+        phase = benchmarks.find_phase(session, "cs3d", "test")
+        return quota.used(session, team_id=installation.team.id, phase=phase, at=database.now(session))
+
+
+def _reject(installation: Installation, submission_id: uuid.UUID) -> None:
+    blobs = installation.services.blobs
+    report = blobs.put_bytes(b"{}")
+    with installation.services.transaction() as session:
+        held = lifecycle.claim(session, submission_id, worker="w", lease_s=60)
+        assert held is not None
+        record_blob(session, blobs, report, 2)
+        lifecycle.reject(session, held, report_sha256=report)
+
+
+def test_the_quota_is_refused_with_the_time_to_wait(installation: Installation) -> None:
+    """The submission beyond the quota is refused; the wait is a day less what has passed since the first."""
+    _set_rules(installation, submissions_per_day=2)
+    installation.submit(enqueue=False)
+    installation.submit(enqueue=False)
+    with pytest.raises(QuotaExceeded, match="2 submissions") as caught:
+        installation.submit(enqueue=False)
+    assert 86000 < caught.value.retry_after_s <= 86400
+    assert _used(installation) == 2
+
+
+def test_rejected_failed_and_cancelled_cost_nothing(installation: Installation) -> None:
+    """Each of the three gives the reservation back."""
+    _set_rules(installation, submissions_per_day=1)
+    _reject(installation, installation.submit(enqueue=False))
+    failed = installation.submit(enqueue=False)
+    with installation.services.transaction() as session:
+        held = lifecycle.claim(session, failed, worker="w", lease_s=60)
+        assert held is not None
+        lifecycle.fail(session, held, code="x", detail="y")
+    cancelled = installation.submit(enqueue=False)
+    with installation.services.transaction() as session:
+        lifecycle.cancel(session, cancelled, actor="user:1")
+    assert _used(installation) == 0
+    installation.submit(enqueue=False)
+
+
+def test_rejected_uploads_have_a_cap_of_their_own(installation: Installation) -> None:
+    """Rejections are free but not endless."""
+    _set_rules(installation, rejections_per_day=2)
+    for _ in range(2):
+        _reject(installation, installation.submit(enqueue=False))
+    with pytest.raises(TooManyRejections, match="cs3d validate"):
+        installation.submit(enqueue=False)
+
+
+def test_a_grant_allows_more(installation: Installation) -> None:
+    """A maintainer's grant adds to what the team may send."""
+    _set_rules(installation, submissions_per_day=0)
+    with installation.services.transaction() as session:
+        phase = benchmarks.find_phase(session, "cs3d", "test")
+        quota.grant(session, team=installation.team, phase=phase, count=1, reason="lost day", actor="admin:test")
+    installation.submit(enqueue=False)
+    with pytest.raises(QuotaExceeded):
+        installation.submit(enqueue=False)
+
+
+def test_uploads_at_once_never_exceed_the_quota(installation: Installation) -> None:
+    """Eight uploads racing for three places: three get one."""
+    _set_rules(installation, submissions_per_day=3)
+    outcomes: list[bool] = []
+
+    def submit() -> None:
+        try:
+            installation.submit(enqueue=False)
+        except QuotaExceeded:
+            outcomes.append(False)
+        else:
+            outcomes.append(True)
+
+    threads = [threading.Thread(target=submit) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcomes) == [False] * 5 + [True] * 3
+    assert _used(installation) == 3
+
+
+def test_a_phase_without_ground_truth_is_closed(installation: Installation) -> None:
+    """A phase takes nothing before its ground truth is imported; importing the version in force again is refused."""
+    with installation.services.transaction() as session:
+        phase = benchmarks.find_phase(session, "cs3d", "test")
+        version = phase.ground_truth
+        assert isinstance(version, GroundTruthVersion)
+        with pytest.raises(Conflict, match="in force already"):
+            benchmarks.import_ground_truth(
+                session,
+                installation.services.blobs,
+                phase=phase,
+                source=installation.case / "gt",
+                actor="admin:test",
+            )
+    _set_rules(installation, ground_truth_id=None)
+    with pytest.raises(PhaseClosed, match="not imported"):
+        installation.submit(enqueue=False)
