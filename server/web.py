@@ -24,7 +24,7 @@ from server.api.watch import Watch
 from server.charts import ChartStore
 from server.pages import routes as pages
 from server.pages.error_page import error_page
-from server.pages.security import SecurityHeaders
+from server.pages.security import HEADERS, SecurityHeaders
 from server.services import Services
 from server.settings import Settings
 
@@ -112,7 +112,10 @@ async def _on_error(request: Request, exception: Exception) -> Response:
 
 
 async def _on_unforeseen(request: Request, exception: Exception) -> Response:
-    return _answer(request, problems.unforeseen(request, exception), {})
+    response = _answer(request, problems.unforeseen(request, exception), {})
+    # This answer is made outside all middleware.
+    response.headers.update(HEADERS)
+    return response
 
 
 def _answer(request: Request, problem: problems.Problem, headers: dict[str, str]) -> Response:

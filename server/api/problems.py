@@ -5,6 +5,7 @@ reference for the log, and says nothing about the inside.
 """
 
 import secrets
+import traceback
 from http import HTTPStatus
 from typing import Any
 
@@ -106,7 +107,9 @@ def problem_response(problem: Problem, headers: dict[str, str] | None = None) ->
 def unforeseen(request: Request, exception: Exception) -> Problem:
     """Log an unforeseen exception under a reference and describe it without leaking anything."""
     reference = f"urn:cs3d:error:{secrets.token_hex(8)}"
-    log.error("unforeseen_error", reference=reference, path=request.url.path, exc_info=exception)
+    # Formatted here: some log renderers show local variables, and those hold tokens and passwords.
+    trace = "".join(traceback.format_exception(exception))
+    log.error("unforeseen_error", reference=reference, path=request.url.path, traceback=trace)
     problem = problem_of(error_of(exception))
     return msgspec.structs.replace(problem, instance=reference)
 
