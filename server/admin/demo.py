@@ -33,7 +33,7 @@ def add_commands(subparsers: Subparsers) -> None:
 
 def demo(args: argparse.Namespace, services: Services) -> Outcome:
     """Show a benchmark at work: make one, upload three methods, rank them, serve until Ctrl-C."""
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
     port = _free_port(args.port, console)
     url = f"http://{HOST}:{port}"
     # Only the data folder is taken from the environment: the demo never touches a real database or broker.
