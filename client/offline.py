@@ -6,8 +6,9 @@ from pathlib import Path
 from client.report_text import report_text
 from evaluator.evaluation import evaluate
 from evaluator.ground_truth import read_ground_truth
-from evaluator.intake import read_predictions, read_predictions_leniently
+from evaluator.intake import read_predictions_leniently
 from evaluator.matching import evaluated_labels
+from evaluator.parallel import evaluate_file, two_processes_help
 from evaluator.protocol import Protocol
 from evaluator.results import Scores
 
@@ -30,12 +31,18 @@ def evaluate_offline(
         GroundTruthError: The ground truth cannot be used.
     """
     ground_truth = read_ground_truth(ground_truth_source)
-    read = read_predictions_leniently if lenient else read_predictions
-    intake = read(predictions_source, images=ground_truth.image_list(), labels=evaluated_labels(protocol))
+    digest = hashlib.sha256(ground_truth.to_bytes()).hexdigest()
+    if not lenient:
+        result = evaluate_file(
+            predictions_source, ground_truth, protocol, ground_truth_sha256=digest, split=two_processes_help()
+        )
+        return result.scores, report_text(result.report)
+    intake = read_predictions_leniently(
+        predictions_source, images=ground_truth.image_list(), labels=evaluated_labels(protocol)
+    )
     notes = report_text(intake.report)
     if intake.predictions is None:
         return None, notes
-    digest = hashlib.sha256(ground_truth.to_bytes()).hexdigest()
     evaluation = evaluate(
         ground_truth, intake.predictions, protocol, ground_truth_sha256=digest, predictions_sha256=intake.sha256
     )

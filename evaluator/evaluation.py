@@ -50,15 +50,19 @@ def evaluate(
     """
     matches = match(ground_truth, predictions, protocol)
     statistics = collect(ground_truth, predictions, matches, protocol)
-    signature = Signature(
-        protocol=protocol,
-        evaluator_version=EVALUATOR_VERSION,
-        ground_truth_sha256=ground_truth_sha256,
-        predictions_sha256=predictions_sha256,
-    )
-    scores = score(statistics, signature)
+    scores = score(statistics, signature_of(protocol, ground_truth_sha256, predictions_sha256))
     if progress is not None:
         progress(len(ground_truth.images), len(ground_truth.images))
     return Evaluation(
         scores=scores, matches=matches, predictions=predictions, ground_truth=ground_truth, statistics=statistics
+    )
+
+
+def signature_of(protocol: Protocol, ground_truth_sha256: str, predictions_sha256: str) -> Signature:
+    """Return the signature of a result of this version of the evaluator."""
+    return Signature(
+        protocol=protocol,
+        evaluator_version=EVALUATOR_VERSION,
+        ground_truth_sha256=ground_truth_sha256,
+        predictions_sha256=predictions_sha256,
     )

@@ -30,6 +30,7 @@ class Matches:
 
     N predictions, M ground-truth boxes, T <= 63 thresholds, P pairs. A pair that is matched at several
     thresholds stands once, with one bit for each; a box may be in several pairs, never twice at one threshold.
+    Pairs are ordered by ground truth, then prediction, so that sums over them never depend on how work was split.
     """
 
     thresholds: Float64Array
@@ -76,7 +77,8 @@ def match(ground_truth: GroundTruth, predictions: Predictions, protocol: Protoco
     free_gt = np.full(len(ground_truth), (1 << len(thresholds)) - 1, dtype=np.uint64)
     unmatched = active.copy()
     taken = take_edges(edges, free_gt, unmatched)
-    kept = taken > 0
+    kept = np.flatnonzero(taken)
+    kept = kept[np.lexsort((edges.prediction_index[kept], edges.ground_truth_index[kept]))]
     ignored = np.where(_inside_ignore_region(ground_truth, predictions, unmatched, protocol), unmatched, np.uint64(0))
     return Matches(
         thresholds=thresholds,

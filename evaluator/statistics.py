@@ -5,6 +5,7 @@ from them without matching again (evaluator/uncertainty.py), and those of disjoi
 (evaluator/parallel.py).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -80,6 +81,27 @@ class Statistics:
         values: dict[str, Any] = dict(arrays)
         protocol = msgspec.convert(facts["protocol"], Protocol)
         return cls(protocol=protocol, images=tuple(facts["images"]), **values)
+
+
+def join(parts: Sequence[Statistics]) -> Statistics:
+    """Join the statistics of disjoint parts of the images, in the order of the images.
+
+    Args:
+        parts: At least one; all under the same protocol.
+
+    Returns:
+        Bit for bit what evaluating all images at once gives.
+    """
+    before = np.cumsum([0, *(len(part.images) for part in parts)])[:-1].astype(np.int32)
+    joined: dict[str, Any] = {
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(Statistics)
+        if field.name not in {"protocol", "images", "thresholds"}
+    }
+    for name in ("ground_truth_image", "pair_image", "false_positive_image"):
+        joined[name] = np.concatenate([getattr(p, name) + offset for p, offset in zip(parts, before, strict=True)])
+    images = tuple(image for part in parts for image in part.images)
+    return Statistics(protocol=parts[0].protocol, images=images, thresholds=parts[0].thresholds, **joined)
 
 
 def collect(ground_truth: GroundTruth, predictions: Predictions, matches: Matches, protocol: Protocol) -> Statistics:

@@ -1,0 +1,76 @@
+"""Two processes give what one gives, bit for bit, and the same report."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from evaluator.ground_truth import GroundTruth, read_ground_truth
+from evaluator.parallel import evaluate_file, ground_truth_of
+from evaluator.protocol import CITYSCAPES3D
+
+CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
+
+
+@pytest.fixture(scope="module")
+def ground_truth() -> GroundTruth:
+    """Sixty images."""
+    return read_ground_truth(CASE / "gt")
+
+
+def _zip(folder: Path, changes: dict[str, bytes]) -> Path:
+    """Pack the case's predictions with some files replaced."""
+    path = folder / "predictions.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for file in sorted((CASE / "pred").iterdir()):
+            archive.writestr(file.name, changes.get(file.name, file.read_bytes()))
+    return path
+
+
+def test_halves_give_the_same_bits(ground_truth: GroundTruth) -> None:
+    """Statistics and scores of a folder do not depend on how the images were split."""
+    one = evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=False)
+    two = evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=True)
+
+    assert one.statistics is not None
+    assert two.statistics is not None
+    assert one.statistics.to_bytes() == two.statistics.to_bytes()
+    assert (one.scores, one.report, one.predictions_sha256) == (two.scores, two.report, two.predictions_sha256)
+
+
+def test_boxes_left_out_are_counted_over_both_halves(ground_truth: GroundTruth, tmp_path: Path) -> None:
+    """A caravan in the first and one in the last image give one note that counts two."""
+    names = sorted(path.name for path in (CASE / "pred").iterdir())
+    caravan = json.loads((CASE / "pred" / names[0]).read_bytes())
+    caravan["objects"][0]["label"] = "caravan"
+    changes = dict.fromkeys((names[0], names[-1]), json.dumps({"objects": caravan["objects"][:1]}).encode())
+
+    one, two = (
+        evaluate_file(_zip(tmp_path, changes), ground_truth, CITYSCAPES3D, split=split) for split in (False, True)
+    )
+
+    assert [(group.code, group.count) for group in two.report.groups] == [("unevaluated_label", 2)]
+    assert (one.scores, one.report) == (two.scores, two.report)
+
+
+def test_an_error_in_the_second_half_gives_the_whole_report(ground_truth: GroundTruth, tmp_path: Path) -> None:
+    """A broken last file refuses the submission with the same report as in one process."""
+    last = max(path.name for path in (CASE / "pred").iterdir())
+    source = _zip(tmp_path, {last: b'{"objects": [{}]}'})
+
+    one, two = (evaluate_file(source, ground_truth, CITYSCAPES3D, split=split) for split in (False, True))
+
+    assert two.scores is None
+    assert two.report.error_count > 0
+    assert one.report == two.report
+
+
+def test_parts_of_the_ground_truth_hold_every_box_once(ground_truth: GroundTruth) -> None:
+    """Splitting anywhere loses nothing and keeps each box with its image."""
+    first, rest = ground_truth_of(ground_truth, slice(0, 7)), ground_truth_of(ground_truth, slice(7, None))
+
+    assert first.images + rest.images == ground_truth.images
+    assert len(first) + len(rest) == len(ground_truth)
+    assert rest.image_index.min() >= 0
+    assert len(first.ignore_px) + len(rest.ignore_px) == len(ground_truth.ignore_px)
