@@ -43,7 +43,7 @@ class StrictReading:
         self._explained: set[int] = set()
         self.boxes = 0
         self.images, self.assigned = assign_files(files.names, images, findings)
-        if not self.assigned and not findings.error_count:
+        if not self.assigned and Code.UNKNOWN_IMAGE not in findings:
             findings.add(Code.EMPTY_ARCHIVE)
 
     def read(self, progress: Progress | None) -> Predictions:

@@ -72,7 +72,7 @@ def check_framing(archive: Archive, limits: Limits, findings: Findings) -> tuple
     except FramingError as error:
         findings.add(error.code, detail=error.detail)
         return ()
-    check_names((entry.shown_name for entry in entries), limits, findings)
+    check_names((entry.name for entry in entries if entry.name is not None), limits, findings)
     _check_sizes(entries, len(archive), limits, findings)
     for entry in entries:
         _check_entry(entry, limits, findings)
@@ -118,12 +118,17 @@ def _locate_members(
 ) -> tuple[Member, ...]:
     """Walk the file from its first byte to the directory: every byte must belong to exactly one member."""
     by_offset = sorted(range(len(entries)), key=lambda index: entries[index].header_offset)
-    ends = [entries[index].header_offset for index in by_offset[1:]] + [directory.offset]
-    first = entries[by_offset[0]].header_offset if entries else directory.offset
-    if first:
-        findings.add(Code.PREFIX_BYTES, detail=f"the first member starts at byte {first}")
+    bounds = [*(entries[index].header_offset for index in by_offset), directory.offset]
+    if bounds[0]:
+        findings.add(Code.PREFIX_BYTES, detail=f"the first member starts at byte {bounds[0]}")
+    crowded = [n for n, index in enumerate(by_offset) if not bounds[n] + _LOCAL.size <= bounds[n + 1] <= directory.offset]
+    for number in crowded:
+        detail = f"its header at byte {bounds[number]} reaches past byte {min(bounds[number + 1], directory.offset)}"
+        findings.add(Code.OVERLAPPING_MEMBERS, file=entries[by_offset[number]].shown_name, detail=detail)
+    if crowded:
+        return ()
     starts = [0] * len(entries)
-    for index, end in zip(by_offset, ends, strict=True):
+    for index, end in zip(by_offset, bounds[1:], strict=True):
         try:
             starts[index] = _data_start(archive, entries[index], end)
         except FramingError as error:
@@ -138,8 +143,6 @@ def _locate_members(
 def _data_start(archive: Archive, entry: Entry, end: int) -> int:
     """Check a member's own header against the directory and find its packed bytes, which end at `end` (4.3.7)."""
     at = entry.header_offset
-    if at + _LOCAL.size > end:
-        raise FramingError(Code.OVERLAPPING_MEMBERS, f"its header at byte {at} reaches past byte {end}")
     (signature, _, flags, method, _, _, crc32, packed, expanded, name_length, extra_length) = _LOCAL.unpack_from(
         archive, at
     )
