@@ -1,0 +1,64 @@
+"""One measurement of the evaluator in a process of its own, so that peak memory and imports are its own.
+
+    python _measure.py WHAT GROUND_TRUTH_ARRAYS PREDICTIONS_ZIP RESULT_FILE
+
+WHAT is `floor` (inflate and typed JSON decode alone), `one` or `two` (processes). Prints JSON: best and median seconds
+of several runs and the peak memory of this process and its children in MB.
+"""
+
+import gc
+import json
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from evaluator.archive import open_source
+from evaluator.cityscapes_format import cityscapes_results
+from evaluator.decoding import decode
+from evaluator.findings import Findings
+from evaluator.ground_truth import GroundTruth
+from evaluator.limits import DEFAULT_LIMITS
+from evaluator.parallel import evaluate_file
+from evaluator.protocol import CITYSCAPES3D
+
+RUNS = 7
+
+
+def floor(source: Path) -> None:
+    """Inflate every member and decode it into typed records; keep nothing."""
+    gc.disable()
+    with open_source(source, DEFAULT_LIMITS, Findings()) as files:
+        if files is None:
+            raise SystemExit("the workload is not a valid zip")
+        for number in range(len(files.names)):
+            decode(files.read(number))
+    gc.enable()
+
+
+def main() -> None:
+    """Measure what the command line names."""
+    what, ground_truth_file, zip_file, result_file = sys.argv[1:]
+    ground_truth = GroundTruth.from_bytes(Path(ground_truth_file).read_bytes())
+    source = Path(zip_file)
+
+    def evaluated() -> None:
+        result = evaluate_file(source, ground_truth, CITYSCAPES3D, split=what == "two")
+        if result.scores is None:
+            raise SystemExit(f"the workload is refused: {result.report}")
+        Path(result_file).write_text(json.dumps(cityscapes_results(result.scores)), encoding="utf-8")
+
+    work: Callable[[], None] = evaluated if what != "floor" else lambda: floor(source)
+    seconds = []
+    for _ in range(RUNS):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    print(json.dumps({"best_s": min(seconds), "median_s": statistics.median(seconds), "peak_mb": peak / 1024}))
+
+
+if __name__ == "__main__":
+    main()
