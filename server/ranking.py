@@ -112,7 +112,7 @@ def shared_ranks(values: list[float | None]) -> list[int | None]:
 
 def summary_of(scores: Scores) -> dict[str, Any]:
     """Give the scores without recall and precision lists, as plain JSON values."""
-    summary: dict[str, Any] = msgspec.to_builtins(scores)
+    summary: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(scores))
     del summary["thresholds"]
     for label in summary["classes"]:
         del label["recall"], label["precision"]

@@ -1,0 +1,324 @@
+"""An independent checker of everything the record promises, for maintainers (`cs3d-admin check`) and tests.
+
+It trusts nothing: rows are held against blobs, states against the audit trail, the ledger against the states, and
+scores against scores computed again. It only reads. What it finds is never repaired here.
+"""
+
+import itertools
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from evaluator.evaluation import evaluate
+from evaluator.ground_truth import GroundTruth, read_ground_truth
+from evaluator.intake import read_predictions
+from evaluator.protocol import EVALUATOR_VERSION, PROTOCOLS
+from evaluator.results import Scores
+from server import database, quota, ranking
+from server.blobs import digest_file
+from server.errors import NotFound
+from server.lifecycle import TRANSITIONS
+from server.models import (
+    Attempt,
+    AttemptOutcome,
+    AuditEvent,
+    Blob,
+    GroundTruthVersion,
+    Phase,
+    Publication,
+    QuotaEntry,
+    QuotaKind,
+    Score,
+    Submission,
+    SubmissionState,
+)
+from server.services import Services
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Violation:
+    """One promise that does not hold."""
+
+    rule: str
+    """Which promise: the name of the rule below."""
+    subject: str
+    """What breaks it, for example `submission:<id>`."""
+    detail: str
+
+
+Found = Iterator[tuple[str, str]]
+"""Subject and detail."""
+
+
+def check(services: Services, recompute: bool = True) -> list[Violation]:  # noqa: FBT001, FBT002 - a public signature
+    """Check every promise.
+
+    Args:
+        services: The installation; it may be at work meanwhile.
+        recompute: Also read every blob and compute every score and prepared ground truth again.
+
+    Returns:
+        What does not hold; empty when all is well.
+    """
+    rules = [*CHEAP_RULES, *(THOROUGH_RULES if recompute else ())]
+    with services.snapshot() as session:
+        return [
+            Violation(rule=rule.__name__, subject=subject, detail=detail)
+            for rule in rules
+            for subject, detail in rule(services, session)
+        ]
+
+
+def every_row_has_its_blob(services: Services, session: Session) -> Found:
+    """A row never points to bytes that are missing or of another size."""
+    stored = {blob.sha256: blob.size_bytes for blob in services.blobs.stored()}
+    for blob in session.scalars(sa.select(Blob)):
+        if blob.sha256 not in stored:
+            yield f"blob:{blob.sha256}", "is not in the blob store"
+        elif stored[blob.sha256] != blob.size_bytes:
+            yield f"blob:{blob.sha256}", f"has {stored[blob.sha256]} bytes in the store, {blob.size_bytes} in the row"
+
+
+def every_old_blob_has_its_row(services: Services, session: Session) -> Found:
+    """Bytes without a row are swept after the grace time and two passes of the sweeper."""
+    known = set(session.scalars(sa.select(Blob.sha256)))
+    grace = timedelta(seconds=services.settings.orphan_grace_s * 2 + 1)
+    deadline = database.now(session) - grace
+    for blob in services.blobs.stored():
+        if blob.sha256 not in known and blob.modified_at < deadline:
+            yield f"blob:{blob.sha256}", "is in the store, but no row knows it"
+
+
+def states_follow_the_trail(services: Services, session: Session) -> Found:
+    """The audit trail of every submission is a legal path that ends in its state."""
+    del services
+    trails: dict[str, list[str]] = defaultdict(list)
+    for event in session.scalars(
+        sa.select(AuditEvent).where(AuditEvent.action.startswith("submission.")).order_by(AuditEvent.id)
+    ):
+        trails[event.subject].append(event.action.removeprefix("submission."))
+    for submission in session.scalars(sa.select(Submission)):
+        subject = f"submission:{submission.id}"
+        trail = trails.pop(subject, [])
+        legal = {(source.value, target.value) for source, targets in TRANSITIONS.items() for target in targets}
+        if trail[:1] != ["received"] or trail[-1] != submission.state:
+            yield subject, f"is {submission.state}, its trail says {trail}"
+        elif not legal.issuperset(itertools.pairwise(trail)):
+            yield subject, f"its trail makes an illegal step: {trail}"
+    for subject in trails:
+        yield subject, "has a trail but no row"
+
+
+def attempts_add_up(services: Services, session: Session) -> Found:
+    """Attempts are numbered without gaps; only the latest may run, exactly while the lease is held."""
+    del services
+    attempts: dict[object, list[Attempt]] = defaultdict(list)
+    for attempt in session.scalars(sa.select(Attempt).order_by(Attempt.number)):
+        attempts[attempt.submission_id].append(attempt)
+    for submission in session.scalars(sa.select(Submission)):
+        own = attempts[submission.id]
+        subject = f"submission:{submission.id}"
+        if [attempt.number for attempt in own] != list(range(1, submission.attempt + 1)):
+            yield subject, f"has attempt {submission.attempt}, but rows for {[a.number for a in own]}"
+        running = [attempt.number for attempt in own if attempt.outcome is AttemptOutcome.RUNNING]
+        if running != ([submission.attempt] if submission.lease_expires_at else []):
+            yield subject, f"attempts {running} run, its lease is {submission.lease_expires_at}"
+        scored = [attempt.number for attempt in own if attempt.outcome is AttemptOutcome.SCORED]
+        if len(scored) != (submission.state is SubmissionState.SCORED):
+            yield subject, f"is {submission.state}, but attempts {scored} scored it"
+
+
+def scores_belong_to_scored(services: Services, session: Session) -> Found:
+    """A submission has scores exactly when it is scored, each on ground truth of its phase, by an attempt that scored."""
+    del services
+    scored_attempts = {
+        (row.submission_id, row.number)
+        for row in session.scalars(sa.select(Attempt).where(Attempt.outcome == AttemptOutcome.SCORED))
+    }
+    counts: Counter[object] = Counter()
+    for score in session.scalars(sa.select(Score)):
+        counts[score.submission_id] += 1
+        subject = f"score:{score.id}"
+        if (score.submission_id, score.attempt) not in scored_attempts:
+            yield subject, f"comes from attempt {score.attempt}, which did not score"
+        if score.ground_truth.phase_id != score.submission.phase_id:
+            yield subject, "is on another phase's ground truth"
+    for submission in session.scalars(sa.select(Submission)):
+        if (counts[submission.id] > 0) != (submission.state is SubmissionState.SCORED):
+            yield f"submission:{submission.id}", f"is {submission.state} and has {counts[submission.id]} scores"
+
+
+def the_ledger_fits_the_states(services: Services, session: Session) -> Found:
+    """One reservation each; a charge exactly when scored; a refund exactly when it cost nothing, once."""
+    del services
+    kinds: dict[object, Counter[QuotaKind]] = defaultdict(Counter)
+    for entry in session.scalars(sa.select(QuotaEntry).where(QuotaEntry.submission_id.is_not(None))):
+        kinds[entry.submission_id][entry.kind] += 1
+    failed_once = set(session.scalars(sa.select(AuditEvent.subject).where(AuditEvent.action == "submission.failed")))
+    free = {SubmissionState.REJECTED, SubmissionState.FAILED, SubmissionState.CANCELLED}
+    for submission in session.scalars(sa.select(Submission)):
+        subject = f"submission:{submission.id}"
+        due = {
+            QuotaKind.RESERVE: 1,
+            QuotaKind.CHARGE: int(submission.state is SubmissionState.SCORED),
+            QuotaKind.REFUND: int(submission.state in free or subject in failed_once),
+        }
+        for kind, count in due.items():
+            if kinds[submission.id][kind] != count:
+                yield subject, f"is {submission.state} and has {kinds[submission.id][kind]} entries {kind}, not {count}"
+
+
+def no_quota_was_overrun(services: Services, session: Session) -> Found:
+    """No team has more than its quota at once, at any of its submissions since the phase's rules were last set."""
+    del services
+    for phase in session.scalars(sa.select(Phase)):
+        rules_set_at = session.scalar(
+            sa.select(sa.func.max(AuditEvent.at)).where(
+                AuditEvent.subject == f"phase:{phase.id}", AuditEvent.action.in_(("phase.created", "phase.changed"))
+            )
+        )
+        entries: dict[int, list[QuotaEntry]] = defaultdict(list)
+        for entry in session.scalars(
+            sa.select(QuotaEntry).where(QuotaEntry.phase_id == phase.id).order_by(QuotaEntry.id)
+        ):
+            entries[entry.team_id].append(entry)
+        for team_id, own in entries.items():
+            for entry in own:
+                if entry.kind is QuotaKind.RESERVE and (rules_set_at is None or entry.created_at >= rules_set_at):
+                    count = _count_at(own, entry)
+                    if count > phase.submissions_per_day:
+                        yield f"team:{team_id}", f"had {count} of {phase.submissions_per_day} at entry {entry.id}"
+
+
+def _count_at(entries: list[QuotaEntry], last: QuotaEntry) -> int:
+    """Count what a team had in the window that ends with `last`, as the ledger stood then."""
+    then = [entry for entry in entries if entry.id <= last.id]
+    refunded = {entry.submission_id for entry in then if entry.kind is QuotaKind.REFUND}
+    window = [entry for entry in then if entry.created_at > last.created_at - quota.WINDOW]
+    reserved = sum(e.kind is QuotaKind.RESERVE and e.submission_id not in refunded for e in window)
+    return reserved + sum(e.amount for e in window if e.kind is QuotaKind.GRANT)
+
+
+def owners_match(services: Services, session: Session) -> Found:
+    """A submission's method is its team's, and a phase's ground truth is its own."""
+    del services
+    for submission in session.scalars(sa.select(Submission)):
+        if submission.method.team_id != submission.team_id:
+            yield f"submission:{submission.id}", "is of another team than its method"
+    for phase in session.scalars(sa.select(Phase)):
+        if phase.ground_truth is not None and phase.ground_truth.phase_id != phase.id:
+            yield f"phase:{phase.id}", "is scored on another phase's ground truth"
+
+
+def leaderboards_are_sorted(services: Services, session: Session) -> Found:
+    """Every published submission has its row; ranks are one more than the number of methods that are better."""
+    del services
+    for phase in session.scalars(sa.select(Phase)):
+        rows = ranking.leaderboard(session, phase).rows
+        published = session.scalars(
+            sa.select(Submission.id).where(
+                Submission.phase_id == phase.id, Submission.publication == Publication.PUBLISHED
+            )
+        )
+        if Counter(row.submission.id for row in rows) != Counter(published):
+            yield f"phase:{phase.id}", "its leaderboard does not show exactly the published submissions"
+        values = [row.mds for row in rows if row.mds is not None]
+        for row in rows:
+            due = None if row.mds is None else 1 + sum(value > row.mds for value in values)
+            if row.rank != due:
+                yield f"submission:{row.submission.id}", f"has rank {row.rank} instead of {due}"
+
+
+def every_blob_is_what_its_name_says(services: Services, session: Session) -> Found:
+    """The digest of every blob, read again, is its name."""
+    for sha256 in session.scalars(sa.select(Blob.sha256)):
+        try:
+            actual = digest_file(services.blobs.local_path(sha256))
+        except NotFound:
+            continue  # told by `every_row_has_its_blob`
+        if actual != sha256:
+            yield f"blob:{sha256}", f"holds bytes with digest {actual}"
+
+
+def prepared_ground_truth_equals_its_source(services: Services, session: Session) -> Found:
+    """Preparing the imported files again gives the same bytes."""
+    for version in session.scalars(sa.select(GroundTruthVersion)):
+        subject = f"ground_truth:{version.id}"
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                source = Path(folder) / "source.zip"
+                source.write_bytes(services.blobs.read(version.source_sha256))
+                prepared = read_ground_truth(source).to_bytes()
+            if prepared != services.blobs.read(version.sha256):
+                yield subject, "its files give other prepared bytes now"
+        except NotFound as error:
+            yield subject, str(error)
+
+
+def scores_are_reproducible(services: Services, session: Session) -> Found:
+    """Scores in the row, in the blob and computed again from prediction and ground truth are equal in every digit."""
+    for score in session.scalars(sa.select(Score).order_by(Score.id)):
+        try:
+            detail = _difference(services, score)
+        except NotFound as error:
+            detail = str(error)
+        if detail:
+            yield f"score:{score.id}", detail
+
+
+def _difference(services: Services, score: Score) -> str | None:
+    kept = msgspec.json.decode(services.blobs.read(score.scores_sha256), type=Scores)
+    if kept.mds != score.mds or ranking.summary_of(kept) != score.summary:
+        return "the row shows other numbers than the kept scores"
+    if (kept.signature.predictions_sha256, kept.signature.ground_truth_sha256) != (
+        score.submission.predictions_sha256,
+        score.ground_truth.sha256,
+    ):
+        return "the kept scores are signed for other predictions or ground truth"
+    if score.evaluator_version != EVALUATOR_VERSION:
+        return None  # another version's number; it is kept, not reproduced
+    return None if _computed_again(services, score) == kept else "computing it again gives other numbers"
+
+
+def _computed_again(services: Services, score: Score) -> Scores | None:
+    """Score the submission from its blobs; None when its predictions are refused now."""
+    ground_truth = GroundTruth.from_bytes(services.blobs.read(score.ground_truth.sha256))
+    predictions_sha256 = score.submission.predictions_sha256
+    intake = read_predictions(services.blobs.local_path(predictions_sha256), images=ground_truth.image_list())
+    if intake.predictions is None:
+        return None
+    return evaluate(
+        ground_truth,
+        intake.predictions,
+        PROTOCOLS[score.protocol],
+        ground_truth_sha256=score.ground_truth.sha256,
+        predictions_sha256=predictions_sha256,
+    ).scores
+
+
+CHEAP_RULES: tuple[Callable[[Services, Session], Found], ...] = (
+    every_row_has_its_blob,
+    every_old_blob_has_its_row,
+    states_follow_the_trail,
+    attempts_add_up,
+    scores_belong_to_scored,
+    the_ledger_fits_the_states,
+    no_quota_was_overrun,
+    owners_match,
+    leaderboards_are_sorted,
+)
+"""Rows, the list of blobs and nothing else."""
+
+THOROUGH_RULES: tuple[Callable[[Services, Session], Found], ...] = (
+    every_blob_is_what_its_name_says,
+    prepared_ground_truth_equals_its_source,
+    scores_are_reproducible,
+)
+"""Everything is read and computed again."""
