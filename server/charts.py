@@ -82,11 +82,16 @@ def curve_specification(scores: Scores, metric: CurveMetric) -> Specification:
 
 
 def precision_recall_specification(scores: Scores) -> Specification:
-    """Draw precision over recall of every class, one point for each score threshold."""
+    """Draw precision over recall of every class, one point for each score threshold.
+
+    Thresholds that no prediction reaches are left out: there the reference says precision 0 at recall 0, which would
+    draw a line to the origin.
+    """
     rows = [
         {"class": one.label, "recall": 100 * recall, "value": 100 * precision, "run": 0, "order": order}
         for one in scores.classes
         for order, (recall, precision) in enumerate(zip(one.recall, one.precision, strict=True))
+        if recall or precision
     ]
     recall = alt.X("recall:Q", title="Recall (%)", scale=alt.Scale(domain=[0, 100]))
     return _lines(

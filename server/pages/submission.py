@@ -90,6 +90,7 @@ def submission_page(submission_id: str, visit: VisitDependency) -> Response:
             "steps": life(submission, audit.trail(session, audit.subject_of(submission))),
             "scores": scores,
             "charts": charts,
+            "bin_metric": tables.View.from_query(visit.request.query_params, ()).bin_metric,
             "tables": tables,
         }
 
