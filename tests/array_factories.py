@@ -7,6 +7,7 @@ import numpy as np
 
 from evaluator.ground_truth import GroundTruth
 from evaluator.predictions import Predictions
+from evaluator.projection import projected_corners_px
 from evaluator.protocol import EVALUATED_LABELS
 
 Triple = tuple[float, float, float]
@@ -91,6 +92,25 @@ def make_ground_truth(
         ignore_px=np.array([region for _, region in ignore], dtype=np.float64).reshape(-1, 4),
         **_shared(boxes, labels),
     )
+
+
+def annotated(boxes: Sequence[Box], *, camera: Triple = (0.0, 0.0, 0.0)) -> list[Box]:
+    """Return boxes whose amodal and modal rectangles are what the camera of `make_ground_truth` sees of them."""
+    arrays = make_ground_truth(boxes, images=1 + max((box.image for box in boxes), default=0), camera=camera)
+    x_min, y_min, x_max, y_max = projected_corners_px(
+        arrays.center_m,
+        arrays.dimensions_m,
+        arrays.rotation,
+        intrinsics_px=arrays.intrinsics_px,
+        sensor_from_vehicle=arrays.sensor_from_vehicle,
+        camera_index=arrays.image_index,
+    )
+    rectangles = np.column_stack([x_min, y_min, x_max - x_min, y_max - y_min]).tolist()
+    ordered = sorted(boxes, key=lambda box: box.image)
+    return [
+        replace(box, amodal=tuple(rectangle), modal=tuple(rectangle))
+        for box, rectangle in zip(ordered, rectangles, strict=True)
+    ]
 
 
 def scattered_boxes(
