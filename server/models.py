@@ -375,6 +375,35 @@ class Submission(Base):
     )
 
 
+class Upload(Base):
+    """A resumable upload: an archive that arrives in parts. It has its own life and ends as a submission or expires."""
+
+    __tablename__ = "upload"
+
+    id: Mapped[uuid.UUID] = mapped_column(primary_key=True, default=uuid.uuid4)
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey(User.id))
+    team_id: Mapped[int] = mapped_column(sa.ForeignKey(Team.id), index=True)
+    fields: Mapped[dict[str, Any]]
+    """What the sender wants done with the archive: phase, method and their like."""
+    length_bytes: Mapped[int] = mapped_column(sa.BigInteger)
+    offset_bytes: Mapped[int] = mapped_column(sa.BigInteger, default=0)
+    """So many bytes are on the disk; what the part file holds beyond is not safe and is cut off."""
+    sha256: Mapped[str | None] = mapped_column(Digest)
+    """Announced by the sender for the whole archive."""
+    created_at: Mapped[datetime]
+    expires_at: Mapped[datetime] = mapped_column(index=True)
+    submission_id: Mapped[uuid.UUID | None] = mapped_column(sa.ForeignKey(Submission.id))
+    """What it became."""
+
+    team: Mapped[Team] = relationship()
+    user: Mapped[User] = relationship()
+
+    __table_args__ = (
+        sa.CheckConstraint("offset_bytes BETWEEN 0 AND length_bytes", name="offset_within_length"),
+        sa.CheckConstraint("submission_id IS NULL OR offset_bytes = length_bytes", name="submission_of_whole"),
+    )
+
+
 class AttemptOutcome(StrEnum):
     """How a worker's hold on a submission ended."""
 

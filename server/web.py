@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from evaluator.errors import BenchmarkError
-from server.api import leaderboards, openapi, problems, sending, submissions
+from server.api import leaderboards, openapi, problems, sending, submissions, uploads
 from server.api.edge import Web, attach
 from server.api.identity import Identities
 from server.api.spool import UploadGate, UploadLimits
@@ -84,7 +84,7 @@ def _web(services: Services, limits: UploadLimits) -> Web:
 
 def _api() -> APIRouter:
     router = APIRouter(prefix=API)
-    for part in (sending, submissions, leaderboards):
+    for part in (sending, submissions, uploads, leaderboards):
         router.include_router(part.router)
 
     @router.get("/openapi.json", include_in_schema=False)

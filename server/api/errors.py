@@ -95,6 +95,16 @@ class OffsetConflict(Conflict):
         self.offset = offset
 
 
+class UploadBusy(Conflict):
+    """Another request is writing to this upload."""
+
+    code = "upload_busy"
+
+    def __init__(self) -> None:
+        """Say what helps."""
+        super().__init__("Another request is still writing to this upload; ask for its offset, then go on from there.")
+
+
 class UploadTooLarge(TooLarge):
     """The upload is larger than the server takes."""
 

@@ -86,6 +86,7 @@ def keep(services: Services, admission: Admission, order: Order, spooled: Spoole
     known = _replayed(services, admission, order, spooled.sha256)
     if known is not None:
         return known
+    _check_quota(services, admission, order)
     try:
         services.blobs.put_file(spooled.path, spooled.sha256)
     except StorageFull as error:
@@ -93,6 +94,13 @@ def keep(services: Services, admission: Admission, order: Order, spooled: Spoole
     submission_id = _record(services, admission, order, spooled)
     services.queue.enqueue(submission_id)
     return submission_id
+
+
+def _check_quota(services: Services, admission: Admission, order: Order) -> None:
+    """Refuse before the bytes are promoted, so that a resumable upload can be completed later."""
+    with services.snapshot() as session:
+        phase = benchmarks.find_phase(session, order.benchmark, order.phase)
+        quota.check(session, team=session.get_one(Team, admission.team_id), phase=phase)
 
 
 def _record(services: Services, admission: Admission, order: Order, spooled: SpooledFile) -> uuid.UUID:

@@ -1,6 +1,7 @@
 """POST /api/v1/submissions: one archive, as the raw body or as a form; and the list of what was sent."""
 
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -162,7 +163,7 @@ async def send_submission(
     else:
         boundary = boundary_of(request.headers.get("content-type", ""))
         submission_id = await receive_form(request, web, asker, given, boundary)
-    return await run_in_threadpool(_accepted, web, asker, submission_id)
+    return await run_in_threadpool(accepted, web, asker, submission_id)
 
 
 async def receive_raw(request: Request, web: Web, asker: Credentials, given: dict[str, str | None]) -> str:
@@ -197,7 +198,7 @@ async def receive_form(
         return str(await run_in_threadpool(receiving.keep, web.services, admission, order, spooled))
 
 
-def order_of(given: dict[str, str | None]) -> Order:
+def order_of(given: Mapping[str, str | None]) -> Order:
     """Read an order from the fields of a request.
 
     Raises:
@@ -240,7 +241,9 @@ def _merged(given: dict[str, str | None], form: Form) -> dict[str, str | None]:
     return {**given, **form.fields, "file_name": form.fields.get("file_name") or form.file_name}
 
 
-def _accepted(web: Web, asker: Credentials, submission_id: str) -> Response:
+def accepted(web: Web, asker: Credentials, submission_id: str) -> Response:
+    """Answer 202 with a submission that was just made, or made before by the same request."""
+
     def work(session: Session, identity: Identity | None) -> Response:
         del identity
         submission = submissions.find(session, submission_id)

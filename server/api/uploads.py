@@ -1,0 +1,321 @@
+"""/api/v1/uploads: send an archive in parts over a bad connection (after the IETF draft on resumable uploads).
+
+    POST    announce the length and what to do with the archive   -> 201, Location
+    HEAD    ask how many bytes are safe                            -> Upload-Offset
+    PATCH   send the next part                                     -> 204, or 202 with the submission after the last
+    DELETE  give up
+
+A part that breaks off keeps what arrived, unless it announced a digest, which half a part cannot meet.
+"""
+
+import hashlib
+import uuid
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Path
+from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response
+
+from evaluator.errors import BenchmarkError
+from server import uploads
+from server.api import documents, errors, examples, receiving
+from server.api.digests import announced_sha256, check_sha256
+from server.api.edge import Asker, Web, WebDependency, answers, change, document_answer, json_response, read
+from server.api.errors import (
+    ArchiveRefused,
+    DigestMismatch,
+    MalformedRequest,
+    MissingToken,
+    OffsetConflict,
+    UnsupportedMediaType,
+    UploadTimeout,
+)
+from server.api.identity import Credentials, Identity
+from server.api.parts import PartFile, locked
+from server.api.receiving import Admission, Order
+from server.api.sending import SENDING_PROBLEMS, Text, accepted, order_of
+from server.api.spool import SpooledFile, at_a_decent_pace
+from server.errors import NotAuthenticated, NotFound
+from server.models import Team, Upload
+
+router = APIRouter(prefix="/uploads", tags=["resumable uploads"])
+
+PART_TYPE = "application/partial-upload"
+
+_BUFFER_BYTES = 1 << 20
+
+UploadId = Annotated[str, Path(description="Id of an upload", examples=[examples.UPLOAD["id"]])]
+
+_ACCESS = (NotAuthenticated, errors.CsrfFailed, errors.TooManyRequests, NotFound)
+_HEADERS = {"Upload-Offset": "Bytes that are safe", "Upload-Length": "Bytes in all", "Upload-Complete": "`?1` or `?0`"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Open:
+    """An upload as the record has it."""
+
+    id: uuid.UUID
+    offset: int
+    length: int
+    sha256: str | None
+    order: Order
+    admission: Admission
+    submission_id: uuid.UUID | None
+
+
+@router.post(
+    "",
+    status_code=201,
+    summary="Begin a resumable upload",
+    responses=answers(
+        *SENDING_PROBLEMS,
+        s201=document_answer(
+            "Send the parts to Location.",
+            documents.UploadDocument,
+            example={**examples.UPLOAD, "offset": 0},
+            headers={"Location": "The upload", **_HEADERS},
+        ),
+    ),
+)
+def begin_upload(
+    *,
+    request: Request,
+    web: WebDependency,
+    asker: Asker,
+    length: Annotated[int, Header(alias="Upload-Length", ge=1, le=1 << 50)],
+    benchmark: Text = None,
+    phase: Text = None,
+    method: Text = None,
+    method_name: Text = None,
+    description: Text = "",
+    file_name: Text = None,
+    team: Text = None,
+) -> Response:
+    """Announce an archive. `Repr-Digest` of the whole is checked at the end."""
+    given = {
+        "benchmark": benchmark,
+        "phase": phase,
+        "method": method,
+        "method_name": method_name,
+        "description": description,
+        "file_name": file_name,
+        "team": team,
+    }
+    order = order_of(given)
+    announced = announced_sha256(request.headers)
+    web.gate.check_room(length)
+    folder = uploads.folder_of(web.services.settings.data_dir)
+
+    def work(session: Session, identity: Identity) -> Response:
+        uploads.sweep(session, folder)
+        admission = receiving.admit(session, identity, order)
+        upload = uploads.create(
+            session,
+            user=identity.user,
+            team=session.get_one(Team, admission.team_id),
+            fields=given,
+            length_bytes=length,
+            sha256=announced,
+        )
+        return _described(upload, status=201)
+
+    return change(web, asker, work)
+
+
+@router.get(
+    "/{upload_id}",
+    summary="How far an upload is",
+    responses=answers(
+        *_ACCESS,
+        s200=document_answer("The upload.", documents.UploadDocument, example=examples.UPLOAD, headers=_HEADERS),
+    ),
+)
+@router.head(
+    "/{upload_id}",
+    summary="The offset of an upload",
+    responses={
+        200: {
+            "description": "The headers say how far the upload is.",
+            "headers": {name: {"description": text, "schema": {"type": "string"}} for name, text in _HEADERS.items()},
+        },
+        **{status: {"description": "As for GET."} for status in (401, 403, 404, 429)},
+    },
+)
+def show_upload(upload_id: UploadId, web: WebDependency, asker: Asker) -> Response:
+    """Say how many bytes are safe."""
+    return read(web, asker, lambda session, identity: _described(_find(session, upload_id, identity)))
+
+
+@router.delete(
+    "/{upload_id}", status_code=204, summary="Give up an upload", responses=answers(*_ACCESS, errors.UploadBusy)
+)
+def delete_upload(upload_id: UploadId, web: WebDependency, asker: Asker) -> Response:
+    """Delete the upload and its bytes."""
+
+    def work(session: Session, identity: Identity) -> Response:
+        upload = _find(session, upload_id, identity)
+        with locked(_path(web, upload.id)):
+            uploads.delete(session, upload)
+            _path(web, upload.id).unlink(missing_ok=True)
+        return Response(status_code=204)
+
+    return change(web, asker, work)
+
+
+@router.patch(
+    "/{upload_id}",
+    status_code=204,
+    summary="Send the next part",
+    openapi_extra={
+        "requestBody": {"required": True, "content": {PART_TYPE: {"schema": {"type": "string", "format": "binary"}}}}
+    },
+    responses=answers(
+        *SENDING_PROBLEMS,
+        OffsetConflict,
+        errors.UploadBusy,
+        UnsupportedMediaType,
+        s202=document_answer(
+            "The archive is whole and safe, and will be scored. Follow Location.",
+            documents.SubmissionDocument,
+            example={**examples.SUBMISSION, "state": "received", "progress": None, "attempt": 0},
+            headers={"Location": "The submission"},
+        ),
+        s204={
+            "description": "The part is safe.",
+            "headers": {name: {"description": text, "schema": {"type": "string"}} for name, text in _HEADERS.items()},
+        },
+    ),
+)
+async def append_part(
+    request: Request,
+    upload_id: UploadId,
+    web: WebDependency,
+    asker: Asker,
+    offset: Annotated[int, Header(alias="Upload-Offset", ge=0, le=1 << 50)],
+) -> Response:
+    """Append a part; `Content-Digest` of the part is checked. The last part makes the submission."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != PART_TYPE:
+        raise UnsupportedMediaType(f"Send a part as {PART_TYPE}.")
+    announced = announced_sha256(request.headers)
+    known = await run_in_threadpool(_open, web, asker, upload_id)
+    path = _path(web, known.id)
+    if known.submission_id is not None:
+        return await run_in_threadpool(accepted, web, asker, str(known.submission_id))
+    with locked(path) as part:
+        # Read again under the lock: another request may have got further meanwhile.
+        known = await run_in_threadpool(_open, web, asker, upload_id)
+        start = await run_in_threadpool(part.begin, known.offset)
+        if offset != start:
+            raise OffsetConflict(offset=start)
+        stream = at_a_decent_pace(request.stream(), web.gate.limits)
+        await _append(web, known, part, stream, announced)
+        if part.end < known.length:
+            headers = _headers(part.end, known.length)
+            return Response(status_code=204, headers=headers)
+        submission_id = await run_in_threadpool(_complete, web, known, part, path)
+    return await run_in_threadpool(accepted, web, asker, str(submission_id))
+
+
+async def _append(web: Web, known: _Open, part: PartFile, stream: AsyncIterator[bytes], announced: str | None) -> None:
+    """Write what comes; whatever ends it, what is safe is on the disk and in the record."""
+    start, buffer = part.end, bytearray()
+    digest = hashlib.sha256()
+    web.gate.check_room(known.length - start)
+    try:
+        async for chunk in stream:
+            if part.end + len(buffer) + len(chunk) > known.length:
+                raise MalformedRequest(f"The upload was announced with {known.length} bytes; this part goes beyond.")
+            buffer += chunk
+            digest.update(chunk)
+            if len(buffer) >= _BUFFER_BYTES:
+                await run_in_threadpool(part.append, bytes(buffer))
+                buffer.clear()
+        check_sha256(announced, digest.hexdigest())
+        await run_in_threadpool(part.append, bytes(buffer))
+    except (ClientDisconnect, UploadTimeout):
+        if announced is not None:
+            part.cut(start)
+        elif buffer:
+            await run_in_threadpool(part.append, bytes(buffer))
+        raise
+    except BenchmarkError:
+        part.cut(start)
+        raise
+    finally:
+        await run_in_threadpool(_make_safe, web, known, part)
+
+
+def _make_safe(web: Web, known: _Open, part: PartFile) -> None:
+    part.make_safe()
+    with web.services.transaction() as session:
+        uploads.advance(session, known.id, part.end)
+
+
+def _complete(web: Web, known: _Open, part: PartFile, path: FilePath) -> uuid.UUID:
+    sha256 = part.sha256()
+    try:
+        check_sha256(known.sha256, sha256)
+        submission_id = receiving.keep(
+            web.services, known.admission, known.order, SpooledFile(path, sha256, known.length)
+        )
+    except (DigestMismatch, ArchiveRefused):
+        # Sending the same bytes again would not help: the upload is over.
+        with web.services.transaction() as session:
+            uploads.delete(session, session.get_one(Upload, known.id))
+        path.unlink(missing_ok=True)
+        raise
+    with web.services.transaction() as session:
+        uploads.complete(session, known.id, submission_id)
+    return submission_id
+
+
+def _open(web: Web, asker: Credentials, upload_id: str) -> _Open:
+    def work(session: Session, identity: Identity | None) -> _Open:
+        upload = _find(session, upload_id, identity)
+        # One upload is one submission, even when a crash lets its last part be sent again.
+        order = replace(order_of(upload.fields), idempotency_key=f"upload:{upload.id}")
+        return _Open(
+            id=upload.id,
+            offset=upload.offset_bytes,
+            length=upload.length_bytes,
+            sha256=upload.sha256,
+            order=order,
+            admission=Admission(upload.user_id, upload.team_id, f"user:{upload.user_id}"),
+            submission_id=upload.submission_id,
+        )
+
+    return read(web, asker, work)
+
+
+def _find(session: Session, upload_id: str, identity: Identity | None) -> Upload:
+    if identity is None:
+        raise MissingToken
+    return uploads.find(session, upload_id, user=identity.user)
+
+
+def _path(web: Web, upload_id: uuid.UUID) -> FilePath:
+    return uploads.folder_of(web.services.settings.data_dir) / f"{upload_id}.part"
+
+
+def _headers(offset: int, length: int) -> dict[str, str]:
+    complete = "?1" if offset == length else "?0"
+    return {"Upload-Offset": str(offset), "Upload-Length": str(length), "Upload-Complete": complete}
+
+
+def _described(upload: Upload, *, status: int = 200) -> Response:
+    document = documents.UploadDocument(
+        id=str(upload.id),
+        offset=upload.offset_bytes,
+        length=upload.length_bytes,
+        expires_at=upload.expires_at,
+        complete=upload.submission_id is not None,
+        submission_id=str(upload.submission_id) if upload.submission_id else None,
+    )
+    headers = {**_headers(upload.offset_bytes, upload.length_bytes), "Location": f"/api/v1/uploads/{upload.id}"}
+    return json_response(document, status=status, headers={**headers, "Cache-Control": "no-store"})
