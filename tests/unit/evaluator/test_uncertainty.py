@@ -1,0 +1,194 @@
+"""Bootstrap intervals, comparisons and rank intervals, from stored statistics."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator.errors import UsageError
+from evaluator.evaluation import Evaluation, evaluate
+from evaluator.ground_truth import read_ground_truth
+from evaluator.parallel import ground_truth_of
+from evaluator.protocol import CITYSCAPES3D
+from evaluator.replicates import MEANS, METRICS, replicate
+from evaluator.resampling import bootstrap_weights, jackknife_weights, unit_index
+from evaluator.results import Scores
+from evaluator.statistics import Statistics
+from evaluator.uncertainty import (
+    compare,
+    compare_replicates,
+    indistinguishable_groups,
+    intervals,
+    mds_replicates,
+    rank_intervals,
+)
+from tests.prediction_arrays import load_predictions
+
+CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> Evaluation:
+    """Sixty images of the recorded realistic case."""
+    ground_truth = read_ground_truth(CASE / "gt")
+    return evaluate(ground_truth, load_predictions(CASE / "pred", ground_truth.images, CITYSCAPES3D.labels))
+
+
+def _numbers(scores: Scores) -> list[float]:
+    rows = [[getattr(scores, name) for name in MEANS]]
+    rows += [[getattr(item, name) for name in METRICS] for item in scores.classes]
+    return [float("nan") if value is None else value for row in rows for value in row]
+
+
+def _replicated(statistics: Statistics, weights: list[float]) -> list[float]:
+    found = replicate(statistics, np.array([weights], dtype=np.float32))
+    return [*found.means[0].tolist(), *found.classes[0].ravel().tolist()]
+
+
+def test_weights_of_one_give_the_scores(evaluation: Evaluation) -> None:
+    """Every mean and every class's metrics are those of the evaluation."""
+    ones = [1.0] * len(evaluation.statistics.images)
+
+    assert _replicated(evaluation.statistics, ones) == pytest.approx(
+        _numbers(evaluation.scores), abs=1e-12, nan_ok=True
+    )
+
+
+def test_weights_of_zero_leave_images_out(evaluation: Evaluation) -> None:
+    """Weighting the last twenty images with 0 equals evaluating the first forty, c_w chosen anew."""
+    part = slice(0, 40)
+    truth = ground_truth_of(evaluation.ground_truth, part)
+    forty = evaluate(truth, load_predictions(CASE / "pred", truth.images, CITYSCAPES3D.labels))
+
+    assert _replicated(evaluation.statistics, [1.0] * 40 + [0.0] * 20) == pytest.approx(
+        _numbers(forty.scores), abs=1e-12, nan_ok=True
+    )
+
+
+def test_a_weight_of_two_counts_an_image_twice(evaluation: Evaluation) -> None:
+    """Scores do not change when every image counts twice."""
+    twos = [2.0] * len(evaluation.statistics.images)
+
+    assert _replicated(evaluation.statistics, twos) == pytest.approx(
+        _numbers(evaluation.scores), abs=1e-12, nan_ok=True
+    )
+
+
+def test_resamples_draw_as_many_images_as_there_are() -> None:
+    """Each resample holds I images in all, and equal seeds draw equally."""
+    images = tuple(f"city_{index:06d}_000019" for index in range(50))
+
+    weights = bootstrap_weights(images, resamples=20, seed=1)
+
+    assert weights.sum(axis=1).tolist() == [50] * 20
+    assert np.array_equal(weights, bootstrap_weights(images, resamples=20, seed=1))
+    assert not np.array_equal(weights, bootstrap_weights(images, resamples=20, seed=2))
+
+
+def test_clusters_are_drawn_whole() -> None:
+    """Images of one sequence or city always count alike."""
+    images = ("aachen_000001_000019", "aachen_000001_000020", "aachen_000002_000019", "bonn_000001_000019")
+
+    assert unit_index(images, "image").tolist() == [0, 1, 2, 3]
+    assert unit_index(images, "sequence").tolist() == [0, 0, 1, 2]
+    assert unit_index(images, "city").tolist() == [0, 0, 0, 1]
+    weights = bootstrap_weights(images, resamples=30, seed=1, unit="city")
+    assert np.array_equal(weights[:, 0], weights[:, 2])
+    assert jackknife_weights(images, unit="city").tolist() == [[0, 0, 0, 1], [1, 1, 1, 0]]
+
+
+@pytest.mark.parametrize("method", ["percentile", "bca"])
+def test_intervals_are_reproducible_and_hold_the_estimate(evaluation: Evaluation, method: str) -> None:
+    """The same call gives the same intervals; the estimate of mDS lies inside."""
+    first = intervals(evaluation.statistics, resamples=200, method=method)  # type: ignore[arg-type]  # parametrized
+
+    assert first == intervals(evaluation.statistics, resamples=200, method=method)  # type: ignore[arg-type]  # likewise
+    mds = first.means["mds"]
+    assert mds is not None
+    assert mds.estimate == evaluation.scores.mds
+    assert mds.lower < mds.estimate < mds.upper
+
+
+def test_a_class_without_ground_truth_has_no_interval(evaluation: Evaluation) -> None:
+    """Undefined stays undefined, and does not disturb the others."""
+    truth = ground_truth_of(evaluation.ground_truth, slice(0, 1))
+    one_image = evaluate(truth, load_predictions(CASE / "pred", truth.images, CITYSCAPES3D.labels))
+
+    found = intervals(one_image.statistics, resamples=10)
+
+    undefined = {item.label for item in one_image.scores.classes if item.ap is None}
+    assert undefined
+    assert {label for label, row in found.classes.items() if row["ap"] is None} == undefined
+
+
+def test_a_submission_does_not_differ_from_itself(evaluation: Evaluation) -> None:
+    """Difference 0 on every resample: interval [0, 0], p-value 1."""
+    found = compare(evaluation.statistics, evaluation.statistics, resamples=50)["mds"]
+
+    assert found is not None
+    assert (found.difference.estimate, found.difference.lower, found.difference.upper) == (0, 0, 0)
+    assert found.p_value == 1
+
+
+def test_the_p_value_is_twice_the_smaller_tail() -> None:
+    """Two of 99 differences are at or below 0: p = 2 (2 + 1) / 100."""
+    differences = np.concatenate([[-1.0, 0.0], np.full(97, 0.5)])
+
+    found = compare_replicates(0.4, differences)
+
+    assert found is not None
+    assert found.p_value == pytest.approx(0.06)
+
+
+def test_submissions_on_other_images_cannot_be_compared(evaluation: Evaluation) -> None:
+    """The message says what is needed."""
+    truth = ground_truth_of(evaluation.ground_truth, slice(0, 5))
+    other = evaluate(truth, load_predictions(CASE / "pred", truth.images, CITYSCAPES3D.labels))
+
+    with pytest.raises(UsageError, match="same images"):
+        compare(evaluation.statistics, other.statistics)
+
+
+def test_rank_intervals_span_the_ranks_on_the_resamples() -> None:
+    """B beats A on half of the resamples, C is always last; equal values share the better rank."""
+    mds = np.array([[0.5, 0.5, 0.5, 0.5], [0.4, 0.6, 0.4, 0.6], [0.1, 0.1, 0.1, 0.1]])
+
+    assert rank_intervals(mds) == [(1, 2), (1, 2), (3, 3)]
+    assert rank_intervals(np.array([[0.5, 0.5], [0.5, 0.5]])) == [(1, 1), (1, 1)]
+
+
+def test_groups_join_neighbours_whose_difference_may_be_chance() -> None:
+    """A and B trade places; B and C, too; A always beats C: two overlapping groups."""
+    mds = np.array([[0.6, 0.5, 0.6, 0.5], [0.5, 0.6, 0.45, 0.45], [0.4, 0.4, 0.46, 0.4]])
+
+    assert indistinguishable_groups([0.55, 0.5, 0.41], mds) == [[0, 1], [1, 2]]
+
+
+def test_stored_statistics_give_the_same_replicates(evaluation: Evaluation) -> None:
+    """Statistics survive storage bit for bit, so uncertainty can be asked for later."""
+    stored = Statistics.from_bytes(evaluation.statistics.to_bytes())
+
+    assert stored.to_bytes() == evaluation.statistics.to_bytes()
+    assert np.array_equal(mds_replicates(stored, resamples=20), mds_replicates(evaluation.statistics, resamples=20))
+
+
+def test_a_95_percent_interval_covers_the_truth_about_95_times_in_100(evaluation: Evaluation) -> None:
+    """Simulation: 100 data sets drawn from the case's images as population, AP of cars as truth.
+
+    With a true coverage of 95 % the share of hits has a standard deviation of 2.2 %; three of them are allowed.
+    bench/interval_coverage.py does it at length.
+    """
+    statistics = evaluation.statistics
+    images = len(statistics.images)
+    data_sets, resamples = 100, 150
+    rng = np.random.default_rng(5)
+    truth = _replicated(statistics, [1.0] * images)[len(MEANS)]
+    data = rng.integers(0, images, (data_sets, 1, images)).repeat(resamples, axis=1)
+    drawn = np.take_along_axis(data, rng.integers(0, images, data.shape), axis=2).reshape(-1, images)
+    drawn += (np.arange(len(drawn)) * images)[:, None]
+    weights = np.bincount(drawn.ravel(), minlength=drawn.size).reshape(-1, images).astype(np.float32)
+
+    ap = replicate(statistics, weights).classes[:, 0, 0].reshape(data_sets, resamples)
+
+    lower, upper = np.quantile(ap, [0.025, 0.975], axis=1)
+    assert 0.88 <= ((lower <= truth) & (truth <= upper)).mean() <= 1.0
