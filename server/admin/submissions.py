@@ -81,7 +81,7 @@ def _phase_status(session: Session, phase: Phase) -> dict[str, Any]:
     counted = session.execute(
         sa.select(Submission.state, sa.func.count()).where(Submission.phase_id == phase.id).group_by(Submission.state)
     )
-    counts = {state.value: number for state, number in counted.tuples()}
+    counts = {state.value: number for state, number in counted}
     version = phase.ground_truth.version if phase.ground_truth else None
     return {
         "benchmark": phase.benchmark.slug,
