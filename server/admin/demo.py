@@ -69,7 +69,7 @@ def _show(
             demo_uploads.wait_for(client, uploads, bars.show)
         demo_uploads.publish(client, uploads)
         board = demo_uploads.leaderboard(client, "test")
-    address = f"{url}/leaderboards/{demo_benchmark.BENCHMARK}/test"
+    address = f"{url}/benchmarks/{demo_benchmark.BENCHMARK}/test"
     login = {"email": logins.email, "password": logins.password}
     text = f"Leaderboard: {address}\nLog in at {url}/login as {logins.email} with password {logins.password}"
     return Outcome(data={"url": address, "login": login, "leaderboard": board}, text=text, tables=[_ranking(board)])
