@@ -3,7 +3,7 @@
 
     python3 do.py demo [...]      install, then show a benchmark server at work (arguments go to `cs3d-admin demo`)
     python3 do.py test [...]      install, then run every test (arguments go to pytest)
-    python3 do.py lint            ruff, mypy, import contracts, lock files
+    python3 do.py lint            ruff, mypy, import contracts, container and lock files
     python3 do.py bench [NAME..]  side-by-side measurements in bench/
     python3 do.py faults [...]    the fault programme: real processes, killed at named points
     python3 do.py fuzz [...]      fuzz the archive reader, the decoder and the API for a bounded time
@@ -110,6 +110,8 @@ def lint(rest: list[str]) -> int:
         "ruff format": [_tool("ruff"), "format", "--check", "."],
         "mypy": [_tool("mypy")],
         "import contracts": [_tool("lint-imports")],
+        "compose file": [_tool("check-jsonschema"), "--builtin-schema", "vendor.compose-spec", "docker-compose.yml"],
+        "Dockerfile": [_tool("hadolint"), "Dockerfile"],
     }
     if shutil.which("uv"):
         checks["lock files"] = [_python(), "requirements/lock.py", "--check"]

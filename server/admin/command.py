@@ -52,7 +52,7 @@ def table(*columns: str, rows: Sequence[Sequence[object]]) -> Table:
     result = Table(box=None, header_style="bold", padding=(0, 1, 0, 0), pad_edge=False)
     for position, column in enumerate(columns):
         numeric = any(isinstance(row[position], int | float) for row in rows)
-        result.add_column(column, justify="right" if numeric else "left", no_wrap=True)
+        result.add_column(column, justify="right" if numeric else "left", no_wrap=numeric, overflow="fold")
     for row in rows:
         result.add_row(*map(_cell, row))
     return result

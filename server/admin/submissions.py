@@ -62,7 +62,8 @@ def status(args: argparse.Namespace, services: Services) -> Outcome:
     depth = services.queue.depth()
     with services.snapshot() as session:
         phases = [_phase_status(session, phase) for benchmark in list_benchmarks(session) for phase in benchmark.phases]
-    states = [state.value for state in SubmissionState]
+    # States that no submission is in would only make the table wide.
+    states = [state.value for state in SubmissionState if any(one["states"][state.value] for one in phases)]
     rows = [
         [f"{one['benchmark']}/{one['phase']}", one["version"], *(one["states"][state] for state in states)]
         for one in phases
