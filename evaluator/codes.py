@@ -80,6 +80,23 @@ class Code(StrEnum):
     # warnings
     ROTATION_NOT_NORMALISED = "rotation_not_normalised"
     CITYPERSONS_KEYS = "citypersons_keys"
+    # recognised mistakes (evaluator/doctor)
+    QUATERNION_XYZW = "quaternion_xyzw"
+    ROTATION_IN_DEGREES = "rotation_in_degrees"
+    YAW_OFF_BY_90 = "yaw_off_by_90"
+    YAW_OFF_BY_180 = "yaw_off_by_180"
+    DIMENSIONS_ORDER = "dimensions_order"
+    CENTER_AT_BOTTOM = "center_at_bottom"
+    CENTER_IN_CAMERA_FRAME = "center_in_camera_frame"
+    SCORES_IN_PERCENT = "scores_in_percent"
+    SCORES_ALL_EQUAL = "scores_all_equal"
+    SCORES_BELOW_THRESHOLDS = "scores_below_thresholds"
+    LABELS_CAPITALISED = "labels_capitalised"
+    LABELS_NUMERIC = "labels_numeric"
+    MODAL_OUTSIDE_AMODAL = "modal_outside_amodal"
+    BOXES_AS_CORNERS = "boxes_as_corners"
+    BOXES_FOR_OTHER_IMAGE_SIZE = "boxes_for_other_image_size"
+    BOXES_FAR_FROM_PROJECTION = "boxes_far_from_projection"
     # notes
     UNEVALUATED_LABEL = "unevaluated_label"
     RESULTS_FILE_IGNORED = "results_file_ignored"
@@ -104,6 +121,11 @@ class Meaning:
 def _error(title: str, fix: str) -> Meaning:
     """Write an error down."""
     return Meaning("error", title, fix)
+
+
+def _warning(title: str, fix: str) -> Meaning:
+    """Write a warning down."""
+    return Meaning("warning", title, fix)
 
 
 _REPACK = "Pack the folder again with an ordinary zip program."
@@ -207,13 +229,65 @@ MEANINGS: dict[Code, Meaning] = {
         "A 2D box lies implausibly far outside of the image.", "Give 2D boxes in pixels of the 2048 x 1024 image."
     ),
     Code.TOO_MANY_BOXES: _error("An image has more boxes than allowed.", "Keep the boxes of highest score."),
-    Code.ROTATION_NOT_NORMALISED: Meaning(
-        "warning", "A quaternion is not of unit length.", "Normalise it; the evaluation does so before use."
+    Code.ROTATION_NOT_NORMALISED: _warning(
+        "A quaternion is not of unit length.", "Normalise it; the evaluation does so before use."
     ),
-    Code.CITYPERSONS_KEYS: Meaning(
-        "warning",
+    Code.CITYPERSONS_KEYS: _warning(
         "The keys bbox and bboxVis are ignored here, while cityscapesScripts reads them instead of amodal and modal.",
         "Remove them.",
+    ),
+    Code.QUATERNION_XYZW: _warning(
+        "The quaternions seem to be in the order x, y, z, w.", "Write them as w, x, y, z: put the last number first."
+    ),
+    Code.ROTATION_IN_DEGREES: _warning(
+        "The rotations seem to be angles in degrees, or quaternions made from them as if they were radians.",
+        "Convert angles to radians, then to quaternions w, x, y, z.",
+    ),
+    Code.YAW_OFF_BY_90: _warning(
+        "The boxes seem to be turned by 90 degrees.", "Measure yaw from the x axis (forward) to the y axis (left)."
+    ),
+    Code.YAW_OFF_BY_180: _warning(
+        "Vehicles in and beside the own lane seem to face backwards.",
+        "Let the box's x axis point to its front; check the sign of the yaw.",
+    ),
+    Code.DIMENSIONS_ORDER: _warning(
+        "The dimensions seem to be in another order.", "Write them as length, width, height."
+    ),
+    Code.CENTER_AT_BOTTOM: _warning(
+        "The centres seem to be those of the bottom faces, as in KITTI.", "Add half of the height to z."
+    ),
+    Code.CENTER_IN_CAMERA_FRAME: _warning(
+        "The centres seem to be in a camera frame.",
+        "Transform centres and rotations to the ISO 8855 vehicle frame with the inverse of sensor_T_ISO_8855.",
+    ),
+    Code.SCORES_IN_PERCENT: _warning("The scores seem to be in percent.", "Divide them by 100."),
+    Code.SCORES_ALL_EQUAL: _warning(
+        "All scores are equal, so there is only one point on the precision-recall curve.",
+        "Write the detector's confidence.",
+    ),
+    Code.SCORES_BELOW_THRESHOLDS: _warning(
+        "The scores are below the lowest score threshold above zero, 0.02, so they cannot be told apart.",
+        "Scale the scores to spread over 0 to 1; only 51 thresholds in steps of 0.02 are looked at.",
+    ),
+    Code.LABELS_CAPITALISED: _warning(
+        "Labels seem to be class names in another spelling.", "Write the class names in lower case."
+    ),
+    Code.LABELS_NUMERIC: _warning(
+        "Labels seem to be class numbers.", "Write class names: car, truck, bus, train, motorcycle, bicycle."
+    ),
+    Code.MODAL_OUTSIDE_AMODAL: _warning(
+        "Modal boxes reach out of their amodal boxes.",
+        "The modal box is the visible part of the amodal one; leave it out if you do not predict it.",
+    ),
+    Code.BOXES_AS_CORNERS: _warning(
+        "The 2D boxes seem to be two corners.", "Write x, y of the upper left corner, then width and height."
+    ),
+    Code.BOXES_FOR_OTHER_IMAGE_SIZE: _warning(
+        "The 2D boxes seem to be for an image of 1242 x 375 pixels.", "Scale them to the image of 2048 x 1024 pixels."
+    ),
+    Code.BOXES_FAR_FROM_PROJECTION: _warning(
+        "The 2D boxes are far from where the 3D boxes project to.",
+        "Check the frame of the centres, the camera of each image and the 2D boxes.",
     ),
     Code.UNEVALUATED_LABEL: Meaning(
         "note", "Boxes of classes that this benchmark does not evaluate were left out.", "Nothing needs to be done."

@@ -47,6 +47,11 @@ class Findings:
         """State how sure a recognised mistake is, in [0, 1]; the highest statement counts."""
         self._confidence[code] = max(confidence, self._confidence.get(code, 0.0))
 
+    def found(self, code: Code, pointer_end: str = "") -> list[str]:
+        """List what was found at the located places of a code whose pointers end in a certain way."""
+        located = self._located.get(code, ())
+        return [one.found for one in located if one.found is not None and (one.pointer or "").endswith(pointer_end)]
+
     @property
     def error_count(self) -> int:
         """Count the problems that reject the submission."""

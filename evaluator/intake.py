@@ -9,6 +9,7 @@ from pathlib import Path
 
 from evaluator.archive import check_framing, digest, open_archive, open_source
 from evaluator.decoding import garbage_collection_paused
+from evaluator.doctor import examine
 from evaluator.findings import Findings
 from evaluator.ground_truth import ImageList
 from evaluator.lenient import NO_LIMITS, LenientReading, LinkFollowingFolder
@@ -57,6 +58,7 @@ def read_predictions(
         if files is not None:
             reading = StrictReading(files, None if images is None else images.images, labels, limits, findings)
             predictions = reading.read(progress)
+            examine(predictions, images=images, known_labels=reading.known_labels, findings=findings)
             found, expected, boxes = len(reading.assigned), len(reading.images), reading.boxes
     report = findings.report(images_expected=expected, images_found=found, boxes=boxes)
     return Intake(predictions=predictions if report.accepted else None, report=report, sha256=digest(source))

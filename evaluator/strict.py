@@ -35,11 +35,11 @@ class StrictReading:
         self._labels = labels
         self._limits = limits
         self._findings = findings
-        self._known_labels = frozenset((*VEHICLE_LABELS, *labels))
+        self.known_labels = frozenset((*VEHICLE_LABELS, *labels))
         self._label_numbers = dict.fromkeys(VEHICLE_LABELS, NOT_EVALUATED) | {
             label: number for number, label in enumerate(labels)
         }
-        self._left_out = dict.fromkeys(sorted(self._known_labels - set(labels)), 0)
+        self._left_out = dict.fromkeys(sorted(self.known_labels - set(labels)), 0)
         self._explained: set[int] = set()
         self.boxes = 0
         self.images, self.assigned = assign_files(files.names, images, findings)
@@ -89,7 +89,7 @@ class StrictReading:
         explain(
             data,
             file=self._files.names[number],
-            known_labels=self._known_labels,
+            known_labels=self.known_labels,
             limits=self._limits,
             findings=self._findings,
         )

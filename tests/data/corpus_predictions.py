@@ -76,7 +76,7 @@ def accepted() -> Iterator[Case]:
         "citypersons_keys",
         document(box(modal='[1, 1, 1, 1], "bbox": [1, 2, 3, 4], "bboxVis": [1, 2, 3, 4]')),
     )
-    yield "one_thousand_boxes", "", document(*[box()] * 1000)
+    yield "one_thousand_boxes", "", document(*[box(), box(score="0.8")] * 500)
 
 
 _NOT_JSON: dict[str, bytes] = {
@@ -307,16 +307,16 @@ def _bad_shapes() -> Iterator[Case]:
 
 def _bad_values() -> Iterator[Case]:
     for name, field, value, code in (
-        ("label_capitalised", "label", '"Car"', "unknown_label"),
-        ("label_plural", "label", '"cars"', "unknown_label"),
-        ("label_space", "label", '"car "', "unknown_label"),
+        ("label_capitalised", "label", '"Car"', "labels_capitalised+unknown_label"),
+        ("label_plural", "label", '"cars"', "labels_capitalised+unknown_label"),
+        ("label_space", "label", '"car "', "labels_capitalised+unknown_label"),
         ("label_empty", "label", '""', "unknown_label"),
         ("label_nul", "label", '"car\\u0000"', "unknown_label"),
-        ("label_numeric_text", "label", '"26"', "unknown_label"),
+        ("label_numeric_text", "label", '"26"', "labels_numeric+unknown_label"),
         ("label_other", "label", '"spaceship"', "unknown_label"),
         ("label_colons", "label", '"a:b:c"', "unknown_label"),
         ("label_terminal", "label", '"\\u001b[31mcar"', "unknown_label"),
-        ("label_number", "label", "26", "wrong_type"),
+        ("label_number", "label", "26", "labels_numeric+wrong_type"),
         ("label_null", "label", "null", "wrong_type"),
         ("label_array", "label", '["car"]', "wrong_type"),
         ("label_nan", "label", "NaN", "number_not_finite+wrong_type"),
@@ -347,7 +347,7 @@ def _bad_values() -> Iterator[Case]:
     yield (
         "everything_wrong",
         (
-            "box_negative_size+dimension_out_of_range+missing_key+rotation_zero+score_out_of_range+unknown_label+wrong_length"
+            "box_negative_size+dimension_out_of_range+labels_capitalised+missing_key+rotation_zero+score_out_of_range+unknown_label+wrong_length"
         ),
         document(
             box(label='"Car"', score="2", amodal="[1, 1, -1, 1]", dimensions="[0, 1, 1]"),

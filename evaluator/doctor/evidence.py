@@ -1,0 +1,126 @@
+"""What the convention doctor looks at: plausible boxes with their cameras, and how well 2D and 3D fit together."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.ground_truth import ImageList
+from evaluator.predictions import Float64Array, Predictions
+from evaluator.projection import projected_corners_px
+from evaluator.value_ranges import BOX_LIMIT_PX, CENTER_LIMIT_M, DIMENSION_RANGE_M, ROTATION_NORM_RANGE
+
+MOST_BOXES = 1500
+"""Looked at; evenly spread over the submission. More would not make the medians better."""
+FEWEST_BOXES = 20
+"""With fewer nothing is concluded."""
+_SMALLEST_AREA_PX = 100.0
+"""2D boxes below say nothing: rounding to pixels already moves them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """N boxes, N possibly 0, layout as in `Predictions`, each with its own camera."""
+
+    label: NDArray[np.str_]
+    """(N,)"""
+    center_m: Float64Array
+    dimensions_m: Float64Array
+    rotation: Float64Array
+    """(N, 4), not normalised."""
+    amodal_px: Float64Array
+    modal_px: Float64Array
+    intrinsics_px: Float64Array
+    """(N, 4), or (0, 4) when the cameras are unknown."""
+    sensor_from_vehicle: Float64Array
+    """(N, 3, 4), or (0, 3, 4) when the cameras are unknown."""
+
+    def __len__(self) -> int:
+        """Count the boxes."""
+        return len(self.center_m)
+
+    @property
+    def has_cameras(self) -> bool:
+        """Tell whether boxes can be projected."""
+        return len(self) > 0 and len(self.intrinsics_px) == len(self)
+
+    def with_boxes(
+        self,
+        *,
+        center_m: Float64Array | None = None,
+        dimensions_m: Float64Array | None = None,
+        rotation: Float64Array | None = None,
+        amodal_px: Float64Array | None = None,
+    ) -> Self:
+        """Put other values in place."""
+        return replace(
+            self,
+            center_m=self.center_m if center_m is None else center_m,
+            dimensions_m=self.dimensions_m if dimensions_m is None else dimensions_m,
+            rotation=self.rotation if rotation is None else rotation,
+            amodal_px=self.amodal_px if amodal_px is None else amodal_px,
+        )
+
+    def overlaps(self) -> Float64Array:
+        """Compare each projected 3D box with its submitted amodal box.
+
+        Returns:
+            IoU in [0, 1], greater is better; only of the boxes large enough to tell, (K,) with K <= N.
+        """
+        large = (self.amodal_px[:, 2] * self.amodal_px[:, 3] > _SMALLEST_AREA_PX) & (self.amodal_px[:, 2:] > 0).all(1)
+        projected = projected_corners_px(
+            self.center_m[large],
+            self.dimensions_m[large],
+            self.rotation[large],
+            intrinsics_px=self.intrinsics_px[large],
+            sensor_from_vehicle=self.sensor_from_vehicle[large],
+            camera_index=np.arange(large.sum(), dtype=np.int32),
+        )
+        corner, size = self.amodal_px[large, :2].T, self.amodal_px[large, 2:].T
+        return _iou(projected, np.concatenate([corner, corner + size]))
+
+
+def _iou(first: Float64Array, second: Float64Array) -> Float64Array:
+    """Intersection over union of boxes given as (4, N) corners; 0 for two boxes without area."""
+    common = np.clip(np.minimum(first[2:], second[2:]) - np.maximum(first[:2], second[:2]), 0.0, None).prod(axis=0)
+    union = (first[2:] - first[:2]).prod(axis=0) + (second[2:] - second[:2]).prod(axis=0) - common
+    iou: Float64Array = np.divide(common, union, out=np.zeros_like(common), where=union > 0.0)
+    return iou
+
+
+def gather_evidence(predictions: Predictions, images: ImageList | None) -> Evidence:
+    """Take a sample of the boxes whose values are plausible each by itself.
+
+    Args:
+        predictions: all boxes that could be read, of a submission with errors, too.
+        images: cameras, where known.
+    """
+    plausible = np.flatnonzero(_plausible(predictions))
+    chosen = plausible[:: max(1, len(plausible) // MOST_BOXES)]
+    image = predictions.image_index[chosen]
+    known = images is not None and len(images.intrinsics_px) == len(predictions.images) > 0
+    intrinsics = np.array(images.intrinsics_px if images is not None and known else ()).reshape(-1, 4)
+    sensors = np.array(images.sensor_from_vehicle if images is not None and known else ()).reshape(-1, 3, 4)
+    return Evidence(
+        label=np.array((*predictions.labels, ""))[predictions.label_index[chosen]],
+        center_m=predictions.center_m[chosen],
+        dimensions_m=predictions.dimensions_m[chosen],
+        rotation=predictions.rotation[chosen],
+        amodal_px=predictions.amodal_px[chosen],
+        modal_px=predictions.modal_px[chosen],
+        intrinsics_px=intrinsics[image] if known else intrinsics,
+        sensor_from_vehicle=sensors[image] if known else sensors,
+    )
+
+
+def _plausible(boxes: Predictions) -> NDArray[np.bool_]:
+    """Find the boxes with which one can calculate, (N,); scores and off-unit quaternions do not matter."""
+    norm_squared = np.square(np.clip(boxes.rotation, -1e9, 1e9)).sum(axis=1)
+    fine: NDArray[np.bool_] = np.abs(boxes.center_m).max(axis=1, initial=0.0) <= CENTER_LIMIT_M
+    fine &= (boxes.dimensions_m >= DIMENSION_RANGE_M[0]).all(axis=1)
+    fine &= (boxes.dimensions_m <= DIMENSION_RANGE_M[1]).all(axis=1)
+    fine &= (norm_squared > ROTATION_NORM_RANGE[0] ** 2) & (norm_squared < ROTATION_NORM_RANGE[1] ** 2)
+    for box_px in (boxes.amodal_px, boxes.modal_px):
+        fine &= np.abs(box_px).max(axis=1, initial=0.0) <= BOX_LIMIT_PX
+    return fine
