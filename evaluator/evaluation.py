@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 from evaluator.ground_truth import GroundTruth
 from evaluator.matching import Matches, match
+from evaluator.paper_scoring import score_by_paper
 from evaluator.predictions import Predictions
-from evaluator.protocol import CITYSCAPES3D, EVALUATOR_VERSION, Protocol, Signature
+from evaluator.protocol import CITYSCAPES3D, EVALUATOR_VERSION, PAPER, Protocol, Signature
 from evaluator.results import Scores
 from evaluator.scoring import score
 from evaluator.statistics import Statistics, collect
@@ -48,9 +49,9 @@ def evaluate(
     Raises:
         UsageError: The images differ, or the protocol cannot be evaluated.
     """
-    matches = match(ground_truth, predictions, protocol)
+    matches = match_by_protocol(ground_truth, predictions, protocol)
     statistics = collect(ground_truth, predictions, matches, protocol)
-    scores = score(statistics, signature_of(protocol, ground_truth_sha256, predictions_sha256))
+    scores = score_by_protocol(statistics, signature_of(protocol, ground_truth_sha256, predictions_sha256))
     if progress is not None:
         progress(len(ground_truth.images), len(ground_truth.images))
     return Evaluation(
@@ -66,3 +67,18 @@ def signature_of(protocol: Protocol, ground_truth_sha256: str, predictions_sha25
         ground_truth_sha256=ground_truth_sha256,
         predictions_sha256=predictions_sha256,
     )
+
+
+def match_by_protocol(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> Matches:
+    """Match by the rules of the protocol's family."""
+    if protocol.name == PAPER.name:
+        from evaluator.paper_matching import match_by_paper  # noqa: PLC0415 - shapely is slow to import and seldom needed
+
+        return match_by_paper(ground_truth, predictions, protocol)
+    return match(ground_truth, predictions, protocol)
+
+
+def score_by_protocol(statistics: Statistics, signature: Signature) -> Scores:
+    """Aggregate by the rules of the protocol's family."""
+    by_paper = statistics.protocol.name == PAPER.name
+    return score_by_paper(statistics, signature) if by_paper else score(statistics, signature)

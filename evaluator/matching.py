@@ -107,7 +107,7 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
     """Find all pairs of one image and class whose IoU is above the minimum, best first, ties by row."""
     if ground_truth.images != predictions.images:
         raise UsageError("Ground truth and predictions must list the same images in the same order.")
-    groups = _groups(ground_truth, predictions, protocol)
+    groups = groups_of(ground_truth, predictions, protocol)
     gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, protocol, np.isin(groups[1], groups[0]))
     rows: list[tuple[RowArray, RowArray, Float64Array]] = []
     for gt_row, prediction_row in pairs_within_groups(*groups):
@@ -143,7 +143,7 @@ def _boxes_to_match(
     return corners_px(ground_truth.amodal_px), boxes
 
 
-def _groups(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> tuple[RowArray, RowArray]:
+def groups_of(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> tuple[RowArray, RowArray]:
     """Return the (image, class) group of each box of both sides; negative and never equal if not evaluated."""
     classes = len(evaluated_labels(protocol))
     gt_class = class_index(ground_truth.labels, ground_truth.label_index, protocol).astype(np.int64)

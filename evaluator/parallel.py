@@ -19,17 +19,16 @@ import numpy as np
 from evaluator.archive import digest, open_source
 from evaluator.codes import Code
 from evaluator.decoding import garbage_collection_paused
-from evaluator.evaluation import evaluate, signature_of
+from evaluator.evaluation import evaluate, match_by_protocol, score_by_protocol, signature_of
 from evaluator.findings import Findings
 from evaluator.ground_truth import GroundTruth
 from evaluator.intake import read_predictions
 from evaluator.limits import DEFAULT_LIMITS
-from evaluator.matching import evaluated_labels, match
+from evaluator.matching import evaluated_labels
 from evaluator.predictions import Predictions
 from evaluator.protocol import Protocol
 from evaluator.report import ProblemGroup, Report
 from evaluator.results import Scores
-from evaluator.scoring import score
 from evaluator.statistics import Statistics, collect, join
 from evaluator.strict import StrictReading
 
@@ -115,7 +114,7 @@ def _evaluate_in_halves(
     statistics = join([first.statistics, second.statistics])
     signature = signature_of(protocol, ground_truth_sha256, sha256)
     return FileEvaluation(
-        scores=score(statistics, signature),
+        scores=score_by_protocol(statistics, signature),
         statistics=statistics,
         report=_report(findings, first, second, len(ground_truth.images)),
         predictions_sha256=sha256,
@@ -134,7 +133,7 @@ def _evaluate_half(
     left_out = found.pop(Code.UNEVALUATED_LABEL.value, None)
     if len(found) != before or findings.error_count:
         return None
-    statistics = collect(truth, predictions, match(truth, predictions, protocol), protocol)
+    statistics = collect(truth, predictions, match_by_protocol(truth, predictions, protocol), protocol)
     return _Half(statistics, reading.boxes, left_out)
 
 

@@ -1,6 +1,7 @@
 """From statistics to scores: the aggregation every number of a result comes from.
 
-Paper, section Benchmark Metrics; reference: `_calculateAp`, `_calcTpStats`.
+Paper, section Benchmark Metrics; reference: `_calculateAp`, `_calcTpStats`. The protocol `paper` aggregates in
+evaluator/paper_scoring.py; both end in `assemble`.
 """
 
 from dataclasses import dataclass
@@ -39,6 +40,48 @@ class TruePositives:
     """(C, B, 4) sums of the similarities."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Aggregates:
+    """What a result is assembled from, for C classes, B depth bins without the one beyond, T thresholds."""
+
+    counts: Counts
+    ap: Float64Array
+    """(C,)."""
+    depth_ap: Float64Array
+    """(C, B)."""
+    working_point: Float64Array
+    """(C,) c_w."""
+    true_positives: TruePositives
+    similarities: Float64Array
+    """(C, 4)."""
+
+
+def score(statistics: Statistics, signature: Signature) -> Scores:
+    """Compute the whole result by the protocol `cityscapes3d`.
+
+    Args:
+        statistics: Outcomes of all images.
+        signature: What the scores depend on; stored with them.
+
+    Returns:
+        The scores; None wherever there is no ground truth to measure on.
+    """
+    counts = count(statistics)
+    precision, recall = class_curves(counts)
+    working = working_point_index(precision, recall, statistics.thresholds, statistics.protocol.working_point)
+    point_of_pair = working[statistics.pair_cell // statistics.grid[1]]
+    true_positives = sum_true_positives(statistics, has_threshold(statistics.pair_masks, point_of_pair))
+    aggregates = Aggregates(
+        counts=counts,
+        ap=average_precision(precision, recall),
+        depth_ap=average_precision(*depth_curves(counts)),
+        working_point=statistics.thresholds[working],
+        true_positives=true_positives,
+        similarities=mean_over_bins(true_positives.sums, true_positives.counts),
+    )
+    return assemble(statistics, aggregates, signature)
+
+
 def count(statistics: Statistics) -> Counts:
     """Count the outcomes of all images."""
     classes, bins = statistics.grid
@@ -52,12 +95,25 @@ def count(statistics: Statistics) -> Counts:
     )
 
 
-def true_positives_at(statistics: Statistics, working_index: NDArray[np.intp]) -> TruePositives:
-    """Sum up the similarities of the true positives at each class's working point ((C,) threshold indices)."""
+def class_curves(counts: Counts) -> tuple[Float64Array, Float64Array]:
+    """Return precision and recall of each class at all depths, (C, T)."""
+    return precision_and_recall(
+        counts.true_positives.sum(axis=1), counts.false_positives.sum(axis=1), counts.ground_truth.sum(axis=1)
+    )
+
+
+def depth_curves(counts: Counts) -> tuple[Float64Array, Float64Array]:
+    """Return precision and recall in each depth bin, (C, B, T)."""
+    return precision_and_recall(
+        counts.true_positives[:, :-1], counts.false_positives[:, :-1], counts.ground_truth[:, :-1]
+    )
+
+
+def sum_true_positives(statistics: Statistics, wanted: NDArray[np.bool_]) -> TruePositives:
+    """Sum up the similarities of the wanted ones of P pairs."""
     classes, bins = statistics.grid
-    at_point = has_threshold(statistics.pair_masks, working_index[statistics.pair_cell // bins])
-    cell = statistics.pair_cell[at_point]
-    similarities = statistics.pair_similarities[at_point]
+    cell = statistics.pair_cell[wanted]
+    similarities = statistics.pair_similarities[wanted]
     sums = np.zeros((classes * bins, similarities.shape[1]))
     for column in range(similarities.shape[1]):
         sums[:, column] = np.bincount(cell, weights=similarities[:, column], minlength=classes * bins)
@@ -65,32 +121,17 @@ def true_positives_at(statistics: Statistics, working_index: NDArray[np.intp]) -
     return TruePositives(counts[:, :-1], sums.reshape(classes, bins, -1)[:, :-1])
 
 
-def score(statistics: Statistics, signature: Signature) -> Scores:
-    """Compute the whole result.
-
-    Args:
-        statistics: Outcomes of all images.
-        signature: What the scores depend on; stored with them.
-
-    Returns:
-        The scores; None wherever there is no ground truth to measure on.
-    """
-    counts = count(statistics)
-    precision, recall = precision_and_recall(
-        counts.true_positives.sum(axis=1), counts.false_positives.sum(axis=1), counts.ground_truth.sum(axis=1)
-    )
-    working = working_point_index(precision, recall, statistics.thresholds, statistics.protocol.working_point)
-    true_positives = true_positives_at(statistics, working)
-    ap = average_precision(precision, recall)
-    similarities = mean_over_bins(true_positives.sums, true_positives.counts)
-    depth_bins = _depth_bins(statistics.protocol, counts, true_positives)
+def assemble(statistics: Statistics, aggregates: Aggregates, signature: Signature) -> Scores:
+    """Put the numbers into a result, None for whatever has no ground truth."""
+    precision, recall = class_curves(aggregates.counts)
+    depth_bins = _depth_bins(statistics.protocol, aggregates)
     classes = tuple(
         _class_score(
             label=label,
-            ground_truth_count=int(counts.ground_truth[index].sum()),
-            ap=float(ap[index]),
-            similarities=similarities[index].tolist(),
-            working_point=float(statistics.thresholds[working[index]]),
+            ground_truth_count=int(aggregates.counts.ground_truth[index].sum()),
+            ap=float(aggregates.ap[index]),
+            similarities=aggregates.similarities[index].tolist(),
+            working_point=float(aggregates.working_point[index]),
             curve=(recall[index].tolist(), precision[index].tolist()),
             depth_bins=depth_bins[index],
         )
@@ -151,20 +192,17 @@ def _undefined_class(label: str, depth_bins: tuple[DepthBin, ...]) -> ClassScore
     )
 
 
-def _depth_bins(protocol: Protocol, counts: Counts, true_positives: TruePositives) -> list[tuple[DepthBin, ...]]:
+def _depth_bins(protocol: Protocol, aggregates: Aggregates) -> list[tuple[DepthBin, ...]]:
     """Return the depth bins of each class."""
-    ground_truth = counts.ground_truth[:, :-1]
-    precision, recall = precision_and_recall(
-        counts.true_positives[:, :-1], counts.false_positives[:, :-1], ground_truth
-    )
-    ap = average_precision(precision, recall)
+    ground_truth, true_positives = aggregates.counts.ground_truth[:, :-1], aggregates.true_positives
+    precision, recall = depth_curves(aggregates.counts)
     means = true_positives.sums / np.maximum(true_positives.counts, 1)[..., None]
     return [
         tuple(
             _depth_bin(
                 range_m=(lower_m, min(lower_m + protocol.depth_step_m, protocol.max_depth_m)),
                 ground_truth_count=int(ground_truth[label, index]),
-                ap=float(ap[label, index]),
+                ap=float(aggregates.depth_ap[label, index]),
                 curve=(recall[label, index], precision[label, index]),
                 true_positive_count=int(true_positives.counts[label, index]),
                 means=means[label, index],

@@ -103,3 +103,18 @@ def mean_over_bins(sums: Float64Array, counts: CountArray) -> Float64Array:
     bins = filled.sum(axis=-1)
     average = np.where(filled[..., None], means, 0).sum(axis=-2) / np.maximum(bins, 1)[..., None]
     return np.where(bins[..., None] >= FEWEST_BINS, average, 0.0)
+
+
+def integral_over_range(sums: Float64Array, counts: CountArray) -> Float64Array:
+    """Average over the whole depth range: the paper's integral over [0, X_max], divided by X_max.
+
+    A bin without a true positive has nothing to be similar and contributes 0, for all four similarities alike.
+
+    Args:
+        sums: (..., B, 4) sums of the similarities of the true positives in each depth bin.
+        counts: (..., B) true positives in each bin.
+
+    Returns:
+        (..., 4) in [0, 1]; 1 only when every bin holds true positives and all are perfect.
+    """
+    return np.asarray((sums / np.maximum(counts, 1)[..., None]).mean(axis=-2))
