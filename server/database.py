@@ -18,6 +18,13 @@ if TYPE_CHECKING:
 BUSY_TIMEOUT_S = 30
 """How long a SQLite writer waits for another; far beyond any transaction of ours."""
 
+BOUNDS = {
+    "lock_timeout": "30s",
+    "statement_timeout": "120s",
+    "idle_in_transaction_session_timeout": "60s",
+}
+"""PostgreSQL: nothing waits for ever, and a process that freezes within a transaction does not keep its locks."""
+
 READ_ONLY = "cs3d_read_only"
 """Execution option of the engine used for snapshots."""
 
@@ -35,8 +42,10 @@ def create_engine(url: str) -> sa.Engine:
         pool_pre_ping=True,
         pool_size=10,
         max_overflow=20,
-        # A server that hangs must not hang us: connecting is bounded, and so is waiting for a row's lock.
-        connect_args={"connect_timeout": 5, "options": "-c lock_timeout=30s -c statement_timeout=120s"},
+        connect_args={
+            "connect_timeout": 5,
+            "options": " ".join(f"-c {name}={value}" for name, value in BOUNDS.items()),
+        },
     )
 
 

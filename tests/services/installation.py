@@ -99,9 +99,13 @@ class Installation:
         return self.load(submission_id).state
 
     def wait_for(self, submission_id: uuid.UUID, state: SubmissionState, *, timeout_s: float = 60.0) -> Submission:
-        """Wait until a submission is in `state`."""
-        wait_until(lambda: self.state(submission_id) is state, timeout_s=timeout_s, what=f"{submission_id} {state}")
-        return self.load(submission_id)
+        """Wait until a submission is in `state`, which is terminal."""
+        wait_until(lambda: self.state(submission_id).terminal, timeout_s=timeout_s, what=f"{submission_id} {state}")
+        submission = self.load(submission_id)
+        if submission.state is not state:
+            message = f"{submission_id} is {submission.state}: {submission.failure_code} {submission.failure_detail}"
+            raise AssertionError(message)
+        return submission
 
     def start_worker(self, **options: Any) -> WorkerProcess:
         """Start a worker; it is killed at the end of the test."""

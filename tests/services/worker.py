@@ -20,13 +20,21 @@ def environment_of(settings: Settings, **extra: str) -> dict[str, str]:
 class WorkerProcess(Service):
     """A Celery worker with its pool, its sweeper and its scoring processes."""
 
-    def __init__(self, folder: Path, settings: Settings, *, concurrency: int = 1, module: str = "worker.app") -> None:
-        """Take the settings of an installation."""
+    def __init__(
+        self,
+        folder: Path,
+        settings: Settings,
+        *,
+        concurrency: int = 1,
+        module: str = "worker.app",
+        extra: dict[str, str] | None = None,
+    ) -> None:
+        """Take the settings of an installation, and more variables for the environment."""
         super().__init__("worker", folder)
         self.settings = settings
         self.concurrency = concurrency
         self.module = module
-        self.extra: dict[str, str] = {}
+        self.extra = extra or {}
 
     def command(self) -> Sequence[str]:
         """Run the command that operators run."""

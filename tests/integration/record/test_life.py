@@ -1,7 +1,8 @@
 """The life of a submission, end to end with a real Celery worker, in both shapes."""
 
-import time
-import uuid
+import os
+import signal
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -10,8 +11,10 @@ from evaluator.results import Scores
 from server import lifecycle, ranking, submissions
 from server.errors import Forbidden, IllegalTransition, LeaseLost, NotScored
 from server.models import AttemptOutcome, Publication, SubmissionState
-from tests.services.installation import REALISTIC_CASE, Installation, zip_of
+from tests.faults import hooks
+from tests.services.installation import Installation, zip_of
 from tests.services.mail_sink import MailSink
+from tests.services.processes import wait_until
 
 
 def test_an_upload_is_scored_and_ranked(installation: Installation) -> None:
@@ -77,42 +80,60 @@ def test_a_dead_broker_delays_but_loses_nothing(installation: Installation) -> N
     installation.wait_for(submission_id, SubmissionState.SCORED)
 
 
-@pytest.mark.parametrize("services", [{"lease_s": 2.0}], indirect=True)
-def test_a_worker_killed_while_it_scores_is_replaced(installation: Installation) -> None:
-    """SIGKILL of a worker in the middle of its work: the next worker scores the submission, once, without help."""
-    submission_id = installation.submit(_slow_predictions(), enqueue=True)
-    first = installation.start_worker()
-    _wait_for_claim(installation, submission_id)
-    first.kill()
-    assert not installation.state(submission_id).terminal
+def _struck_worker(installation: Installation, point: str, strike: hooks.Strike) -> Path:
+    """Start a worker that is struck at a point of its work; give the folder in which strikes are noted."""
+    faults = installation.folder / "faults"
+    faults.mkdir()
+    hooks.arm(faults, point, strike)
+    installation.start_worker(module="tests.faults.worker_app", extra={hooks.FOLDER_VARIABLE: str(faults)})
+    return faults
+
+
+@pytest.mark.parametrize("point", ["claimed", "scored", "commit_sent"])
+def test_a_worker_killed_at_work_is_replaced(installation: Installation, point: str) -> None:
+    """SIGKILL of a whole worker right after it claimed, while it scores or after its commit: scored once, without help.
+
+    Killed before the commit, its attempt is lost and the next one scores. Killed after it, there is nothing to repeat.
+    """
+    submission_id = installation.submit()
+    faults = _struck_worker(installation, point, hooks.Strike(stop=True))
+    wait_until(lambda: hooks.taken_by(faults, point), what=f"a strike at {point}")
+    installation.workers[0].kill()
     installation.start_worker()
-    submission = installation.wait_for(submission_id, SubmissionState.REJECTED)
-    assert [attempt.outcome for attempt in submission.attempts] == [AttemptOutcome.LOST, AttemptOutcome.REJECTED]
+    submission = installation.wait_for(submission_id, SubmissionState.SCORED)
+    lost = [] if point == "commit_sent" else [AttemptOutcome.LOST]
+    assert [attempt.outcome for attempt in submission.attempts] == [*lost, AttemptOutcome.SCORED]
+    assert len(submission.scores) == 1
 
 
-def _slow_predictions() -> bytes:
-    """Give predictions that take a while: many images that are not in the ground truth."""
-    return zip_of(REALISTIC_CASE / "pred")
-
-
-def _wait_for_claim(installation: Installation, submission_id: uuid.UUID) -> None:
-    deadline_s = time.monotonic() + 30
-    while installation.load(submission_id).attempt == 0:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.001)
+def test_a_worker_that_wakes_up_late_writes_nothing(installation: Installation) -> None:
+    """A worker frozen beyond its lease finds its submission scored by another, and leaves it alone."""
+    submission_id = installation.submit()
+    faults = _struck_worker(installation, "scored", hooks.Strike(stop=True))
+    wait_until(lambda: hooks.taken_by(faults, "scored"), what="a strike")
+    installation.start_worker()
+    installation.wait_for(submission_id, SubmissionState.SCORED)
+    (stale,) = hooks.taken_by(faults, "scored")
+    os.kill(stale, signal.SIGCONT)
+    wait_until(lambda: b"lease_lost" in installation.workers[0].log_path.read_bytes(), what="the late write")
+    submission = installation.load(submission_id)
+    assert [attempt.outcome for attempt in submission.attempts] == [AttemptOutcome.LOST, AttemptOutcome.SCORED]
+    assert len(submission.scores) == 1
 
 
 def test_a_failed_submission_is_told_and_tried_again(installation: Installation, mail_sink: MailSink) -> None:
     """A submission whose bytes are gone fails; maintainers get a mail; re-queued after the repair it is scored."""
-    del mail_sink
     data = zip_of(installation.case / "pred")
     submission_id = installation.submit(data, enqueue=False)
     blobs = installation.services.blobs
     blobs.delete(installation.load(submission_id).predictions_sha256)
     installation.services.queue.enqueue(submission_id)
-    installation.start_worker()
+    mail = {"CS3D_SMTP_HOST": "127.0.0.1", "CS3D_SMTP_PORT": str(mail_sink.port), "CS3D_MAINTAINERS_EMAIL": "m@x.org"}
+    installation.start_worker(extra=mail)
     submission = installation.wait_for(submission_id, SubmissionState.FAILED)
     assert submission.failure_code == "blob_missing"
+    wait_until(lambda: mail_sink.mails, what="a mail")
+    assert str(submission_id) in str(mail_sink.mails[0].get_payload())
     blobs.put_bytes(data)
     with installation.services.transaction() as session:
         submissions.requeue(session, submissions.find(session, submission_id), "admin:test")

@@ -1,0 +1,79 @@
+"""Safeguards taken out one at a time, to show that the fault programme notices. Never used otherwise.
+
+Each is a change to one function of a process of the programme, asked for by name in its environment.
+"""
+
+import functools
+import os
+import time
+import uuid
+from collections.abc import Callable
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from server import lifecycle, submissions, sweeper
+from server.lifecycle import Claim
+from server.models import Score, Submission
+
+VARIABLE = "CS3D_TEST_SABOTAGE"
+
+
+def install() -> None:
+    """Take out what the environment names."""
+    name = os.environ.get(VARIABLE)
+    if name:
+        SABOTAGES[name]()
+
+
+def without_fence() -> None:
+    """Let a worker write although it lost its submission."""
+
+    def any_row(session: Session, held: Claim) -> Submission:
+        return session.get_one(Submission, held.submission_id)
+
+    lifecycle._lock_held = any_row
+
+
+def without_unique_key() -> None:
+    """Write every score twice, into a table that no longer refuses it."""
+    original = lifecycle.record_score
+
+    @functools.wraps(original)
+    def record_twice(session: Session, *arguments: Any) -> Score:
+        score = original(session, *arguments)
+        columns = [column.name for column in sa.inspect(Score).columns if column.name != "id"]
+        values = {name: getattr(score, name) for name in columns}
+        session.execute(sa.insert(Score).values(**values))
+        return score
+
+    setattr(lifecycle, "record_score", record_twice)  # noqa: B010 - the checker of types minds a plain assignment
+
+
+def with_early_message() -> None:
+    """Send the message from inside the transaction, before the commit."""
+    original = submissions.receive
+
+    @functools.wraps(original)
+    def receive(session: Session, **named: Any) -> Submission:
+        submission = original(session, **named)
+        early: Callable[[uuid.UUID], object] = session.info["enqueue"]
+        early(submission.id)
+        time.sleep(0.3)  # the commit is on its way; the worker is faster
+        return submission
+
+    submissions.receive = receive
+
+
+def without_sweeper() -> None:
+    """Never send a message again."""
+    sweeper._send_again = lambda services: 0  # noqa: ARG005 - the original's signature
+
+
+SABOTAGES: dict[str, Callable[[], None]] = {
+    "fence": without_fence,
+    "unique_key": without_unique_key,
+    "early_message": with_early_message,
+    "sweeper": without_sweeper,
+}

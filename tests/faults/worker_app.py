@@ -1,0 +1,12 @@
+"""`celery -A tests.faults.worker_app worker`: the real worker with the fault points around it."""
+
+from tests.faults import hooks
+
+hooks.install(hooks.WORKER_POINTS)
+
+from worker import evaluation  # noqa: E402 - after the points are in place
+from worker.app import app  # noqa: E402 - likewise
+
+hooks.wrap(evaluation._Attempt, "_scored", before="scored")
+
+__all__ = ["app"]
