@@ -42,8 +42,8 @@ WITH_DEPENDENCIES = {
     "centers": ("numpy==2.4.6", "pandas==3.1.1", "pyquaternion==0.9.9", "scipy==1.17.1"),
     "waymo": ("tensorflow-cpu==2.13.0", "numpy==1.24.3"),
 }
-TOLERANCE = {"nuscenes": 1e-9, "argoverse": 1e-6, "waymo": 2e-5}
-"""av2 adds an epsilon to precision; Waymo computes in single precision."""
+TOLERANCE = {"nuscenes": 1e-9, "argoverse": 1e-9, "waymo": 2e-6}
+"""Waymo computes in single precision."""
 
 
 def interpreter(name: str) -> Path:

@@ -1,4 +1,4 @@
-"""The command `cs3d`: evaluate and validate offline, submit and watch online.
+"""The command `cs3d`: evaluate, explain and validate offline, submit and watch online.
 
 Exit status: 0 done, 1 the data has problems (a report is on stderr), 2 wrong usage.
 """
@@ -12,6 +12,8 @@ from evaluator.errors import BenchmarkError
 
 COMMANDS = {
     "evaluate": "client.evaluate",
+    "diagnose": "client.diagnose",
+    "compare": "client.compare",
     "validate": "client.validate",
     "submit": "client.submit",
     "watch": "client.watch",

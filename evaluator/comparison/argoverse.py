@@ -6,8 +6,8 @@ Source: Wilson et al., "Argoverse 2", NeurIPS 2021 (datasets), section 4.2 and a
 
 What stays as there: distances in space, 150 m, at most 100 predictions of a class in an image, and the assignment:
 every prediction goes to its nearest ground-truth box, and of those only the highest score can be a true positive.
-What differs: there are no lidar points and no region of interest to filter by, precision has no epsilon (so that
-perfect predictions score 1), and unmatched predictions in ignore regions are no false positives.
+What differs: there are no lidar points and no region of interest to filter by, and unmatched predictions in ignore
+regions are no false positives; one that is not near any box is left out before the assignment.
 """
 
 import msgspec
@@ -99,8 +99,7 @@ def _evaluate_class(boxes: ClassBoxes, parameters: ArgoverseParameters) -> Argov
     count = len(boxes.ground_truth)
     boxes, prediction, ground_truth, apart = assign_nearest(boxes, max(parameters.distances_m))
     aps = [
-        _average_precision(prediction[apart < distance_m], boxes.excused, count)
-        for distance_m in parameters.distances_m
+        average_precision(prediction[apart < distance_m], boxes.excused, count) for distance_m in parameters.distances_m
     ]
     near = apart < parameters.error_distance_m
     first, second = boxes.predictions.take(prediction[near]), boxes.ground_truth.take(ground_truth[near])
@@ -151,7 +150,7 @@ def assign_nearest(boxes: ClassBoxes, max_m: float) -> tuple[ClassBoxes, RowArra
     return boxes.take_predictions(kept), prediction[chosen], ground_truth[chosen], apart[chosen]
 
 
-def _average_precision(matched: RowArray, excused: BoolArray, ground_truth_count: int) -> float | None:
+def average_precision(matched: RowArray, excused: BoolArray, ground_truth_count: int) -> float | None:
     """Return the mean of the precision envelope read at 101 recalls (`compute_average_precision`).
 
     In [0, 1], greater is better; None without ground truth, 0 without predictions.

@@ -113,8 +113,8 @@ def _evaluate_class(boxes: ClassBoxes, parameters: NuscenesParameters) -> Nuscen
     if not len(boxes.ground_truth):
         return _undefined(boxes.label, parameters)
     pairs = near_pairs(boxes, ground_distance, max(parameters.distances_m))
-    aps = [_ap_at(boxes, pairs, distance_m, parameters) for distance_m in parameters.distances_m]
-    errors = _errors(boxes, pairs, parameters)
+    aps = [average_precision(boxes, pairs, distance_m, parameters) for distance_m in parameters.distances_m]
+    errors = true_positive_errors(boxes, pairs, parameters)
     return NuscenesClass(
         label=boxes.label,
         ground_truth_count=len(boxes.ground_truth),
@@ -157,7 +157,7 @@ def _curve(matched: RowArray, counted: BoolArray, ground_truth_count: int) -> tu
     return found / ground_truth_count, found / np.arange(1, len(found) + 1)
 
 
-def _ap_at(boxes: ClassBoxes, pairs: Pairs, max_m: float, parameters: NuscenesParameters) -> float:
+def average_precision(boxes: ClassBoxes, pairs: Pairs, max_m: float, parameters: NuscenesParameters) -> float:
     """Return the area under the interpolated curve above the lowest recall and precision (`calc_ap`).
 
     In [0, 1], greater is better; 0 when nothing is matched.
@@ -176,7 +176,7 @@ def _first_sample(parameters: NuscenesParameters) -> int:
     return round(100 * parameters.min_recall) + 1
 
 
-def _errors(boxes: ClassBoxes, pairs: Pairs, parameters: NuscenesParameters) -> list[float | None]:
+def true_positive_errors(boxes: ClassBoxes, pairs: Pairs, parameters: NuscenesParameters) -> list[float | None]:
     """Return translation, scale and orientation error, each averaged over the reached recall (`calc_tp`).
 
     The running mean of an error over the matches is read at the score that belongs to each recall sample, and these

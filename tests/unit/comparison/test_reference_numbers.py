@@ -68,8 +68,7 @@ def test_argoverse_numbers_equal_av2(scored: tuple[Comparison, dict[str, float]]
     comparison, expected = scored
     for label in ("car", "bicycle"):
         score = next(score for score in comparison.argoverse.classes if score.label == label)
-        # av2 adds 1e-10 to the denominator of precision
-        assert argoverse_numbers(score) == pytest.approx(expected_of(expected, f"argoverse/{label}/"), abs=1e-6)
+        assert argoverse_numbers(score) == pytest.approx(expected_of(expected, f"argoverse/{label}/"), abs=1e-9)
 
 
 def waymo_numbers(score: WaymoClass) -> dict[str, float]:

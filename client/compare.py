@@ -1,0 +1,70 @@
+"""`cs3d compare`: where the difference of two submissions comes from, and whether it can be chance."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # everything heavy is imported when the command runs
+    from evaluator.diagnosis.difference import Difference
+    from evaluator.uncertainty import Comparison
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Declare the command."""
+    parser = subparsers.add_parser(
+        "compare",
+        help="split the difference of two submissions",
+        description="Split the difference of two submissions, second minus first. GT and PRED are folders or zip files.",
+    )
+    parser.add_argument("first", metavar="PRED_A", type=Path)
+    parser.add_argument("second", metavar="PRED_B", type=Path)
+    parser.add_argument("--gt", metavar="GT", type=Path, required=True, help="the ground truth, *_gtBbox3d.json")
+    parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate both, compare and print; return 0, or 1 when the predictions of either have problems."""
+    from client.full_evaluation import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
+
+    evaluations = evaluate_fully([args.first, args.second], args.gt, lenient=args.lenient)
+    if evaluations is None:
+        return 1
+    from evaluator.diagnosis.difference import explain_difference  # noqa: PLC0415 - keeps `cs3d --help` fast
+    from evaluator.uncertainty import compare  # noqa: PLC0415 - likewise
+
+    first, second = evaluations
+    difference = explain_difference(first.scores, second.scores)
+    paired = compare(second.statistics, first.statistics)
+    if args.json:
+        import msgspec  # noqa: PLC0415 - not needed for the table
+
+        print(msgspec.json.format(msgspec.json.encode({"difference": difference, "paired": paired})).decode())
+        return 0
+    print(difference_text(difference, paired["mds"]))
+    return 0
+
+
+def difference_text(difference: "Difference", paired: "Comparison | None") -> str:
+    """Return the split as a table, in percent points, and what the bootstrap says below it."""
+    from client.text_table import percent, points, text_table  # noqa: PLC0415 - not needed for JSON
+
+    lines = [(part.label, part.parts, part.total) for part in difference.classes]
+    rows = [
+        (label, *(points(getattr(parts, name, None)) for name in NAMES), points(total))
+        for label, parts, total in [*lines, ("all", difference.parts, difference.total)]
+    ]
+    header = ("class", "AP", "BEVCD", "YawSim", "PRSim", "SizeSim", "total")
+    title = f"mDS {percent(difference.mds[0])} -> {percent(difference.mds[1])}: points of mDS by class and part"
+    table = text_table(title, header, rows)
+    if paired is None:
+        return table
+    interval = paired.difference
+    return (
+        f"{table}\n\nPaired bootstrap over images: difference {points(interval.estimate)}, 95 % interval "
+        f"[{points(interval.lower)}, {points(interval.upper)}], p = {paired.p_value:.3f}"
+    )
+
+
+NAMES = ("ap", "bevcd", "yaw_sim", "pr_sim", "size_sim")
+"""The parts in the order of the columns."""

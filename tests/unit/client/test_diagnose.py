@@ -1,0 +1,114 @@
+"""`cs3d diagnose` and `cs3d compare`: tables and JSON from folders of files."""
+
+import json
+import shutil
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from client.main import main
+from client.text_table import number, percent, points, text_table
+from evaluator.comparison.summary import Comparison
+from evaluator.diagnosis.diagnose import Diagnosis
+from evaluator.diagnosis.difference import Difference
+
+CASE = Path(__file__).parents[2] / "data" / "oracle" / "tiny_by_hand"
+ARGUMENTS = ["--gt", str(CASE / "gt")]
+
+
+@pytest.fixture
+def worse(tmp_path: Path) -> Path:
+    """Return the case's predictions with every box 5 % too long."""
+    for path in sorted((CASE / "pred").glob("*.json")):
+        document = json.loads(path.read_text())
+        for item in document["objects"]:
+            item["3d"]["dimensions"][0] *= 1.05
+        (tmp_path / path.name).write_text(json.dumps(document))
+    return tmp_path
+
+
+def test_diagnose_prints_every_table(capsys: pytest.CaptureFixture[str]) -> None:
+    """Loss, causes, oracles, errors, kinds of objects and scores come with the signature below them."""
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred")]) == 0
+    printed = capsys.readouterr().out
+    for title in ("Where 100 points go", "Causes", "Oracles", "Mean errors", "by kind of object", "Scores"):
+        assert title in printed
+    assert printed.splitlines()[-1].startswith("cityscapes3d:1|")
+    assert "As KITTI" not in printed
+
+
+def test_diagnose_adds_other_benchmarks_when_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each of the four has its table."""
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--benchmarks"]) == 0
+    printed = capsys.readouterr().out
+    for name in ("KITTI", "nuScenes", "Waymo", "Argoverse 2"):
+        assert f"As {name}" in printed
+
+
+def test_diagnose_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
+    """The JSON holds the whole diagnosis, and the comparison metrics only when asked."""
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--json", "--benchmarks"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert msgspec.convert(document["diagnosis"], Diagnosis).classes[0].label == "car"
+    assert msgspec.convert(document["comparison"], Comparison).kitti.classes[0].label == "car"
+
+
+def test_compare_splits_the_difference(capsys: pytest.CaptureFixture[str], worse: Path) -> None:
+    """Longer boxes lose points of size and nothing of yaw; second minus first is negative."""
+    assert main(["compare", *ARGUMENTS, str(CASE / "pred"), str(worse), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    difference = msgspec.convert(document["difference"], Difference)
+    assert difference.parts is not None
+    assert difference.total is not None
+    assert difference.total < 0
+    assert difference.parts.size_sim < 0
+    assert difference.parts.yaw_sim == pytest.approx(0.0, abs=1e-12)
+    assert document["paired"]["mds"]["difference"]["estimate"] == pytest.approx(difference.total)
+
+
+def test_compare_prints_a_table_and_the_bootstrap(capsys: pytest.CaptureFixture[str], worse: Path) -> None:
+    """Every class has a row, the sum is last, and the interval is below."""
+    assert main(["compare", *ARGUMENTS, str(CASE / "pred"), str(worse)]) == 0
+    printed = capsys.readouterr().out
+    assert "points of mDS by class and part" in printed
+    assert "\nall " in printed
+    assert "95 % interval" in printed
+
+
+def test_equal_submissions_do_not_differ(capsys: pytest.CaptureFixture[str]) -> None:
+    """A submission compared with itself differs by exactly 0."""
+    assert main(["compare", *ARGUMENTS, str(CASE / "pred"), str(CASE / "pred"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["difference"]["total"] == 0.0
+
+
+def test_a_path_that_is_not_there_is_wrong_usage(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The message names the path and what to give instead."""
+    assert main(["diagnose", *ARGUMENTS, str(tmp_path / "missing.zip")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+
+
+def test_predictions_with_errors_are_reported_and_not_scored(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A broken file ends with status 1 and a report that names it; `--lenient` is not needed to learn why."""
+    shutil.copytree(CASE / "pred", tmp_path / "pred")
+    broken = min((tmp_path / "pred").glob("*.json"))
+    broken.write_text("{")
+    for command in (["diagnose"], ["compare", str(CASE / "pred")]):
+        assert main([*command, *ARGUMENTS, str(tmp_path / "pred")]) == 1
+        streams = capsys.readouterr()
+        assert broken.name in streams.err
+        assert streams.out == ""
+
+
+def test_undefined_numbers_are_written_as_such() -> None:
+    """None is "n/a" in every notation, never 0."""
+    assert {number(None), percent(None), points(None)} == {"n/a"}
+    assert (number(1.236), percent(0.12345), points(0.01), points(-0.01)) == ("1.24", "12.35", "+1.00", "-1.00")
+
+
+def test_tables_are_aligned() -> None:
+    """The first column stands left, the others right, under the title."""
+    lines = text_table("Title", ["name", "n"], [["a", "10"], ["long name", "5"]]).splitlines()
+    assert lines == ["Title", "name        n", "-------------", "a          10", "long name   5"]
