@@ -1,0 +1,82 @@
+"""What the documentation says is so."""
+
+import argparse
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import SecretStr
+
+import do
+from server.admin.main import build_parser
+from server.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[3]
+OPERATING = (ROOT / "docs" / "operating.md").read_text()
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
+    (ROOT / "docs").rglob("*.md")
+)
+
+
+def test_every_setting_is_documented_with_its_default() -> None:
+    """The table of settings has a row for each, in the same order, with the default that the code has."""
+    documented = dict(re.findall(r"^\| `(CS3D_\w+)` \| `(.*?)` \|", OPERATING, re.MULTILINE))
+    defaults = {}
+    for name, field in Settings.model_fields.items():
+        default = field.default
+        defaults[f"CS3D_{name.upper()}"] = (
+            default.get_secret_value() if isinstance(default, SecretStr) else str(default)
+        )
+    assert documented == defaults
+    assert list(documented) == list(defaults)
+
+
+def test_every_command_of_the_administration_is_documented() -> None:
+    """The table of commands names what `cs3d-admin --help` lists, and nothing else."""
+    (action,) = (part for part in build_parser()._actions if isinstance(part, argparse._SubParsersAction))
+    table = OPERATING.split("| command | does |")[1].split("\n\n")[0]
+    documented = re.findall(r"`([a-z-]+)`", "".join(re.findall(r"^\| (.*?) \|", table, re.MULTILINE)))
+    assert set(documented) == set(action.choices)
+
+
+def test_the_map_shows_every_package() -> None:
+    """Every folder with Python of ours stands in the map, and every folder in the map exists."""
+    packages = {
+        f"{path.parent.relative_to(ROOT)}/"
+        for top in ("evaluator", "server", "worker", "client")
+        for path in (ROOT / top).rglob("__init__.py")
+    }
+    mapped = set(re.findall(r"^\| `([a-z_/]+/)` \|", ARCHITECTURE, re.MULTILINE))
+    assert packages <= mapped
+    assert all((ROOT / folder).is_dir() for folder in mapped)
+
+
+def test_files_named_in_the_map_exist() -> None:
+    """A path with a folder and a suffix, wherever the architecture names one, is a file."""
+    named = re.findall(r"`((?:evaluator|server|worker|client|migrations)/[a-z_/]+\.py)`", ARCHITECTURE)
+    assert named
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_within_the_tree_lead_somewhere(page: Path) -> None:
+    """Every relative link names a file."""
+    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text())
+    local = [target for target in targets if "://" not in target and not target.startswith("mailto:")]
+    assert [target for target in local if not (page.parent / target).exists()] == []
+
+
+def test_the_readme_names_real_commands() -> None:
+    """`do.py` commands that the README and CONTRIBUTING show exist."""
+    text = (ROOT / "README.md").read_text() + (ROOT / "CONTRIBUTING.md").read_text()
+    shown = set(re.findall(r"python3 do\.py ([a-z]+)", text))
+    assert shown <= {run.__name__ for run, _ in do.COMMANDS}
+
+
+def test_decisions_are_numbered_without_gaps() -> None:
+    """Files in docs/decisions carry 0001, 0002, ... and a heading with the same number."""
+    files = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+    for number, path in enumerate(files, start=1):
+        assert path.name.startswith(f"{number:04d}-")
+        assert path.read_text().startswith(f"# {number}. ")
