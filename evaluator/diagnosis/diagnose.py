@@ -18,8 +18,9 @@ from evaluator.diagnosis.nearest import nearest
 from evaluator.diagnosis.oracles import Oracle, oracles
 from evaluator.diagnosis.subsets import Grouping, Membership, group, memberships
 from evaluator.diagnosis.working_point import WorkingPoint, at_working_point
+from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation
-from evaluator.protocol import Protocol, Signature
+from evaluator.protocol import PAPER, Protocol, Signature
 
 
 class Accuracy(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,7 +60,12 @@ def diagnose(evaluation: Evaluation) -> Diagnosis:
     """Explain an evaluation.
 
     Every value can be written as JSON; what is undefined is None.
+
+    Raises:
+        UsageError: The protocol is `paper`, whose thresholds are all scores.
     """
+    if evaluation.scores.signature.protocol.name == PAPER.name:
+        raise UsageError("Only evaluations by the protocol cityscapes3d can be diagnosed; evaluate by that one.")
     point = at_working_point(evaluation)
     errors = pair_errors(evaluation, point)
     groups = memberships(evaluation.ground_truth)

@@ -11,10 +11,9 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from evaluator.evaluation import Evaluation
+from evaluator.evaluation import Evaluation, score_by_protocol
 from evaluator.matching import class_index
 from evaluator.results import ClassScore
-from evaluator.scoring import score
 from evaluator.statistics import Statistics
 from evaluator.true_positive_metrics import SIMILARITIES
 
@@ -46,7 +45,7 @@ def oracles(evaluation: Evaluation) -> tuple[Oracle, ...]:
 def _run(name: str, change: Callable[[Evaluation], Statistics], evaluation: Evaluation) -> Oracle:
     """Change the outcomes, score them, and compare with the scores as they are."""
     before = evaluation.scores
-    after = score(change(evaluation), before.signature)
+    after = score_by_protocol(change(evaluation), before.signature)
     return Oracle(
         name=name,
         mds=after.mds,

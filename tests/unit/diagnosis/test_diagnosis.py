@@ -11,8 +11,9 @@ import pytest
 from evaluator.diagnosis.diagnose import Diagnosis, diagnose
 from evaluator.diagnosis.nearest import nearest
 from evaluator.diagnosis.working_point import at_working_point
+from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate
-from evaluator.protocol import CITYSCAPES3D, Protocol
+from evaluator.protocol import CITYSCAPES3D, PAPER, Protocol
 from tests.array_factories import (
     Box,
     annotated,
@@ -120,3 +121,9 @@ def test_classes_without_ground_truth_are_undefined() -> None:
     """Buses are in no image: nothing about them is explained."""
     bus = next(part for part in diagnose(evaluation_of(TRUTH, FOUND)).classes if part.label == "bus")
     assert (bus.accuracy, bus.causes, bus.loss, bus.calibration) == (None, None, None, None)
+
+
+def test_the_protocol_paper_is_refused() -> None:
+    """Its thresholds are all scores, so there are no sets of thresholds to look at."""
+    with pytest.raises(UsageError, match="cityscapes3d"):
+        diagnose(evaluation_of(TRUTH, FOUND, PAPER))
