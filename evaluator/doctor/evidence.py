@@ -96,8 +96,8 @@ def gather_evidence(predictions: Predictions, images: ImageList | None) -> Evide
         predictions: all boxes that could be read, of a submission with errors, too.
         images: cameras, where known.
     """
-    plausible = np.flatnonzero(_plausible(predictions))
-    chosen = plausible[:: max(1, len(plausible) // MOST_BOXES)]
+    sampled = np.arange(0, len(predictions), max(1, len(predictions) // MOST_BOXES))
+    chosen = sampled[_plausible(predictions, sampled)]
     image = predictions.image_index[chosen]
     known = images is not None and len(images.intrinsics_px) == len(predictions.images) > 0
     intrinsics = np.array(images.intrinsics_px if images is not None and known else ()).reshape(-1, 4)
@@ -114,13 +114,13 @@ def gather_evidence(predictions: Predictions, images: ImageList | None) -> Evide
     )
 
 
-def _plausible(boxes: Predictions) -> NDArray[np.bool_]:
-    """Find the boxes with which one can calculate, (N,); scores and off-unit quaternions do not matter."""
-    norm_squared = np.square(np.clip(boxes.rotation, -1e9, 1e9)).sum(axis=1)
-    fine: NDArray[np.bool_] = np.abs(boxes.center_m).max(axis=1, initial=0.0) <= CENTER_LIMIT_M
-    fine &= (boxes.dimensions_m >= DIMENSION_RANGE_M[0]).all(axis=1)
-    fine &= (boxes.dimensions_m <= DIMENSION_RANGE_M[1]).all(axis=1)
-    fine &= (norm_squared > ROTATION_NORM_RANGE[0] ** 2) & (norm_squared < ROTATION_NORM_RANGE[1] ** 2)
-    for box_px in (boxes.amodal_px, boxes.modal_px):
-        fine &= np.abs(box_px).max(axis=1, initial=0.0) <= BOX_LIMIT_PX
+def _plausible(boxes: Predictions, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Find those of some boxes with which one can calculate; scores and off-unit quaternions do not matter."""
+    norm = np.linalg.norm(boxes.rotation[rows], axis=1)
+    dimensions = boxes.dimensions_m[rows]
+    fine: NDArray[np.bool_] = (norm > ROTATION_NORM_RANGE[0]) & (norm < ROTATION_NORM_RANGE[1])
+    fine &= (np.abs(boxes.center_m[rows]) <= CENTER_LIMIT_M).all(axis=1)
+    fine &= ((dimensions >= DIMENSION_RANGE_M[0]) & (dimensions <= DIMENSION_RANGE_M[1])).all(axis=1)
+    for box_px in (boxes.amodal_px[rows], boxes.modal_px[rows]):
+        fine &= (np.abs(box_px) <= BOX_LIMIT_PX).all(axis=1)
     return fine

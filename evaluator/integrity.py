@@ -1,0 +1,166 @@
+"""The integrity audit: what raises a score without better detection, or lowers it by accident.
+
+Kept with the score and shown to its owner and the maintainers; it uses ground truth, so it is never shown to others.
+"""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from evaluator.evaluation import Evaluation, evaluate
+from evaluator.fingerprint import fingerprint
+from evaluator.predictions import Float64Array, Predictions
+from evaluator.projection import projected_corners_px
+from evaluator.protocol import Protocol
+
+MODAL_GAP_LIMIT = 0.01
+"""mDS: honest modal boxes change far less, and placing all of them in an ignore region gains five times as much."""
+LOWEST_THRESHOLD = 0.02
+PLAUSIBLE_BOXES_PER_IMAGE = 300
+"""The ground truth has 52 in its fullest image; detectors rarely keep more than 300."""
+DUPLICATE_SHARE_LIMIT = 0.2
+SIMILARITY_LIMIT = 0.5
+"""Of two fingerprints; above it the submissions are nearly identical."""
+
+
+class ScoreResolution(msgspec.Struct, frozen=True, kw_only=True):
+    """How well one class's scores can be told apart by 51 fixed thresholds."""
+
+    label: str
+    boxes: int
+    distinct_scores: int
+    share_below_lowest_threshold: float | None
+    """In [0, 1], None without boxes; these all act like score 0."""
+    ap: float | None
+    ap_evenly_spread: float | None
+    """The AP with the same ranking, but scores spread evenly over (0, 1]: a loss here is a loss of resolution."""
+
+
+class IntegrityAudit(msgspec.Struct, frozen=True, kw_only=True):
+    """The findings on one score."""
+
+    mds: float | None
+    mds_with_projected_modal: float | None
+    """The mDS when ignore regions are tested with the projected box instead of the submitted modal one."""
+    modal_gap: float | None
+    """The first less the second: what the submitted modal boxes gain."""
+    held: bool
+    """True when a maintainer should look before the score ranks."""
+    reasons: tuple[str, ...]
+    """Why it is held, one sentence each."""
+    score_resolution: tuple[ScoreResolution, ...]
+    duplicate_boxes: int
+    """Boxes equal to an earlier one of the same image and class in all of centre, dimensions and rotation."""
+    most_boxes_in_image: int
+    images_with_many_boxes: int
+    """Images with more boxes than `PLAUSIBLE_BOXES_PER_IMAGE`."""
+    fingerprint: str
+    """See `evaluator/fingerprint.py`."""
+
+
+def audit(evaluation: Evaluation) -> IntegrityAudit:
+    """Audit a score; evaluates the same predictions twice more.
+
+    Args:
+        evaluation: the official result, with its predictions and ground truth.
+    """
+    predictions = evaluation.predictions
+    protocol = evaluation.scores.signature.protocol
+    mds = evaluation.scores.mds
+    projected = _mds(evaluation, _with_projected_modal(evaluation), msgspec.structs.replace(protocol, modal=False))
+    official = _mds(evaluation, predictions, msgspec.structs.replace(protocol, modal=False)) if protocol.modal else mds
+    gap = None if official is None or projected is None else official - projected
+    duplicates = _count_duplicates(predictions)
+    per_image = np.bincount(predictions.image_index, minlength=1)
+    reasons = _reasons(gap, duplicates, predictions)
+    return IntegrityAudit(
+        mds=mds,
+        mds_with_projected_modal=projected,
+        modal_gap=gap,
+        held=bool(reasons),
+        reasons=reasons,
+        score_resolution=_score_resolution(evaluation),
+        duplicate_boxes=duplicates,
+        most_boxes_in_image=int(per_image.max()),
+        images_with_many_boxes=int((per_image > PLAUSIBLE_BOXES_PER_IMAGE).sum()),
+        fingerprint=fingerprint(predictions),
+    )
+
+
+def _mds(evaluation: Evaluation, predictions: Predictions, protocol: Protocol) -> float | None:
+    """Score other predictions against the same ground truth."""
+    return evaluate(evaluation.ground_truth, predictions, protocol).scores.mds
+
+
+def _with_projected_modal(evaluation: Evaluation) -> Predictions:
+    """Replace the submitted modal boxes, with which the reference tests ignore regions, by the projected ones."""
+    predictions, ground_truth = evaluation.predictions, evaluation.ground_truth
+    corners = projected_corners_px(
+        predictions.center_m,
+        predictions.dimensions_m,
+        predictions.rotation,
+        intrinsics_px=ground_truth.intrinsics_px,
+        sensor_from_vehicle=ground_truth.sensor_from_vehicle,
+        camera_index=predictions.image_index,
+    )
+    modal_px = np.concatenate([corners[:2], corners[2:] - corners[:2]]).T
+    return replace(predictions, modal_px=np.ascontiguousarray(modal_px))
+
+
+def _score_resolution(evaluation: Evaluation) -> tuple[ScoreResolution, ...]:
+    """Look at each class's scores, and at its AP with the same ranking spread evenly."""
+    predictions = evaluation.predictions
+    spread = replace(predictions, score=_evenly_spread(predictions))
+    respread = evaluate(evaluation.ground_truth, spread, evaluation.scores.signature.protocol).scores
+    resolutions = []
+    for official, evenly in zip(evaluation.scores.classes, respread.classes, strict=True):
+        of_class = predictions.label_index == predictions.labels.index(official.label)
+        scores = predictions.score[of_class]
+        below = float((scores < LOWEST_THRESHOLD).mean()) if len(scores) else None
+        resolutions.append(
+            ScoreResolution(
+                label=official.label,
+                boxes=len(scores),
+                distinct_scores=len(np.unique(scores)),
+                share_below_lowest_threshold=below,
+                ap=official.ap,
+                ap_evenly_spread=evenly.ap,
+            )
+        )
+    return tuple(resolutions)
+
+
+def _evenly_spread(predictions: Predictions) -> Float64Array:
+    """Replace each score by its rank within the class over the number of distinct ones, in (0, 1]; ties stay ties."""
+    spread = np.zeros(len(predictions))
+    for number in range(len(predictions.labels)):
+        of_class = predictions.label_index == number
+        values, rank = np.unique(predictions.score[of_class], return_inverse=True)
+        spread[of_class] = (rank + 1) / max(1, len(values))
+    return spread
+
+
+def _count_duplicates(predictions: Predictions) -> int:
+    """Count boxes that repeat an earlier one."""
+    table = np.concatenate(
+        [
+            predictions.image_index[:, None],
+            predictions.label_index[:, None],
+            predictions.center_m,
+            predictions.dimensions_m,
+            predictions.rotation,
+        ],
+        axis=1,
+    )
+    return len(table) - len(np.unique(table, axis=0))
+
+
+def _reasons(gap: float | None, duplicates: int, predictions: Predictions) -> tuple[str, ...]:
+    """Say why a maintainer should look."""
+    reasons = []
+    if gap is not None and gap > MODAL_GAP_LIMIT:
+        reasons.append(f"The submitted modal boxes raise the mDS by {gap:.4f} through ignore regions.")
+    if duplicates > DUPLICATE_SHARE_LIMIT * len(predictions):
+        reasons.append(f"{duplicates} of {len(predictions)} boxes repeat another one.")
+    return tuple(reasons)
