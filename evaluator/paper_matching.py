@@ -6,8 +6,8 @@ their scores, each goes for the ground-truth box it overlaps most, and finding t
 A prediction that matches nothing is discarded when at least 70 % of its 2D box lies in the union of the ignore
 regions. The paper's sentence could be read to discard matched ones, too; then perfect predictions would not be perfect.
 
-What the paper leaves open is done as in `cityscapes3d`: boxes are cut at the near plane and clipped to the image.
-Widths are x_max - x_min.
+The rectangles are not clipped to the image, and widths are x_max - x_min. What the paper leaves open is done as in
+`cityscapes3d`: a box that reaches behind the camera is cut at the near plane first, one wholly behind it finds nothing.
 """
 
 import numpy as np
@@ -67,11 +67,12 @@ def projected_boxes(ground_truth: GroundTruth, boxes: GroundTruth | Predictions)
         intrinsics_px=ground_truth.intrinsics_px,
         sensor_from_vehicle=ground_truth.sensor_from_vehicle,
         camera_index=boxes.image_index,
+        clip=False,
     )
 
 
 def plain_areas_px(boxes: Float64Array) -> Float64Array:
-    """Return (N,) areas of (4, N) boxes; 0 for a box beside the image."""
+    """Return (N,) areas of (4, N) boxes; 0 for a box behind the camera."""
     return np.asarray((boxes[2] - boxes[0]) * (boxes[3] - boxes[1]))
 
 

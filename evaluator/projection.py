@@ -36,6 +36,7 @@ def projected_corners_px(
     intrinsics_px: Float64Array,
     sensor_from_vehicle: Float64Array,
     camera_index: IndexArray,
+    clip: bool = True,
 ) -> Float64Array:
     """Project boxes to amodal boxes.
 
@@ -46,10 +47,11 @@ def projected_corners_px(
         intrinsics_px: (I, 4) fx, fy, u0, v0 of each camera.
         sensor_from_vehicle: (I, 3, 4) vehicle frame to camera frame (x forward, y left, z up).
         camera_index: (N,) which camera sees the box.
+        clip: Clip to the image, as the reference does.
 
     Returns:
-        (4, N) x_min, y_min, x_max, y_max in pixels, within the image. All zeros for a box wholly behind the near
-        plane; a box beside the image collapses to a line on the border.
+        (4, N) x_min, y_min, x_max, y_max in pixels. All zeros for a box wholly behind the near plane; clipped, a box
+        beside the image collapses to a line on the border.
     """
     boxes = np.empty((4, len(center_m)))
     for start in range(0, len(center_m), BLOCK):
@@ -58,8 +60,8 @@ def projected_corners_px(
         vertices = vertices_in_camera_m(
             center_m[block], dimensions_m[block], rotation[block], sensor_from_vehicle[camera]
         )
-        boxes[:, block] = clipped_to_image(circumscribed_px(vertices, intrinsics_px[camera]))
-    return boxes
+        boxes[:, block] = circumscribed_px(vertices, intrinsics_px[camera])
+    return clipped_to_image(boxes) if clip else boxes
 
 
 def vertices_in_camera_m(
