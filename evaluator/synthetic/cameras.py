@@ -9,17 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.predictions import Float64Array, IndexArray
+from evaluator.projection import circumscribed_px, clipped_to_image, vertices_in_camera_m
 
-IMAGE_WIDTH_PX = 2048
-IMAGE_HEIGHT_PX = 1024
 FOCAL_LENGTH_PX = (2262.52, 2265.3017905988554)
 PRINCIPAL_POINT_PX = (1096.98, 513.137)
 BASELINE_M = 0.209313
 MOUNTED_AT_M = (1.7, 0.1, 1.22)
 MOUNTED_DOWN_RAD = 0.038
 MOUNTED_LEFT_RAD = 0.0195
-
-_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,17 +91,6 @@ def multiply(first: Float64Array, second: Float64Array) -> Float64Array:
     )
 
 
-def _rotation_matrices(rotation: Float64Array) -> Float64Array:
-    """Turn (N, 4) quaternions into (N, 3, 3) rotation matrices."""
-    w, x, y, z = (rotation / np.linalg.norm(rotation, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
-
-
 @dataclass(frozen=True, slots=True)
 class View:
     """What a camera sees of boxes."""
@@ -114,7 +100,7 @@ class View:
     clipped_px: Float64Array
     """(N, 4) the same within the image: the amodal box."""
     nearest_m: Float64Array
-    """(N,) least distance of a corner along the optical axis; the rest holds only where this is positive."""
+    """(N,) least distance of a corner along the optical axis."""
 
     @property
     def truncation(self) -> Float64Array:
@@ -136,13 +122,6 @@ def view(cameras: Cameras, center_m: Float64Array, dimensions_m: Float64Array, r
         dimensions_m: (N, 3) length, width, height.
         rotation: (N, 4) quaternions w, x, y, z in the vehicle frame.
     """
-    corners_m = np.einsum("nij,nkj->nki", _rotation_matrices(rotation), _CORNERS * dimensions_m[:, None])
-    corners_m += center_m[:, None]
-    sensor = np.einsum("nij,nkj->nki", cameras.sensor_from_vehicle[:, :, :3], corners_m)
-    sensor += cameras.sensor_from_vehicle[:, None, :, 3]
-    ahead_m = np.maximum(sensor[:, :, 0], 0.01)
-    fx, fy, u0, v0 = (column[:, None] for column in cameras.intrinsics_px.T)
-    u, v = u0 - fx * sensor[:, :, 1] / ahead_m, v0 - fy * sensor[:, :, 2] / ahead_m
-    full_px = np.stack([u.min(axis=1), v.min(axis=1), u.max(axis=1), v.max(axis=1)], axis=1)
-    edges_px = np.array([IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX]) - 1.0
-    return View(full_px, np.clip(full_px, 0, edges_px), sensor[:, :, 0].min(axis=1))
+    vertices_m = vertices_in_camera_m(center_m, dimensions_m, rotation, cameras.sensor_from_vehicle)
+    full_px = circumscribed_px(vertices_m, cameras.intrinsics_px)
+    return View(full_px.T, clipped_to_image(full_px).T, vertices_m[2].min(axis=0))

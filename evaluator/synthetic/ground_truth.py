@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.predictions import Float64Array
+from evaluator.projection import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX
 from evaluator.protocol import VEHICLE_LABELS
-from evaluator.synthetic.cameras import BASELINE_M, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, Cameras, draw_cameras, view
+from evaluator.synthetic.cameras import BASELINE_M, Cameras, draw_cameras, view
 from evaluator.synthetic.file_format import AnnotatedObject, Box3d, Boxes2d, GroundTruthFile, IgnoreRegion, Sensor
 from evaluator.synthetic.population import PROTOTYPES, draw_labels
 from evaluator.synthetic.scenes import Boxes, populate
