@@ -166,7 +166,8 @@ def docs(rest: list[str]) -> int:
     environment = CACHE / "docs"
     _install_apart(environment, "docs")
     _section("docs")
-    return _run([str(_bin(environment) / "mkdocs"), "build", "--strict"])
+    os.environ["NO_MKDOCS_2_WARNING"] = "1"
+    return _run([str(_bin(environment) / "mkdocs"), "build", "--strict", "--quiet"])
 
 
 def lock(rest: list[str]) -> int:

@@ -110,3 +110,13 @@ def test_system_packages_are_recognised_by_command_or_file(tmp_path: Path) -> No
     assert do._present("sh")
     assert do._present(f"{tmp_path}/*/initdb")
     assert not do._present("no-such-command")
+
+
+def test_a_bare_debian_is_told_which_package_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without ensurepip and without root rights, the message names the package for that version."""
+    python = tmp_path / "python3"
+    python.write_text('#!/bin/sh\ncase "$2" in *ensurepip*) exit 1;; esac\necho 3 12\n')
+    python.chmod(0o755)
+    monkeypatch.setattr(do.os, "geteuid", lambda: 1000)
+    with pytest.raises(do.CannotContinueError, match=r"apt-get install python3\.12-venv"):
+        do._ensure_venv(str(python))
