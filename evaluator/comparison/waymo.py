@@ -275,16 +275,37 @@ def assignment_steps(pairs: WeightedPairs, excused: BoolArray) -> tuple[Float64A
     pairs, name = pairs.take(order), name[order]
     starts = np.flatnonzero(np.append(True, name[1:] != name[:-1])[: len(name)])
     sizes = np.diff(np.append(starts, len(name)))
-    single = starts[sizes == 1]
-    alone = pairs.take(single)
-    change[:, alone.prediction] = np.ones(len(single)), alone.affinity, excused[alone.prediction]
-    for start, size in zip(starts[sizes > 1], sizes[sizes > 1], strict=True):
+    boxes = pairs.ground_truth
+    one_box = np.minimum.reduceat(boxes, starts) == np.maximum.reduceat(boxes, starts) if len(starts) else sizes > 0
+    simple = np.repeat(one_box, sizes)
+    _add_single_boxes(pairs.take(simple), name[simple], excused, change)
+    for start, size in zip(starts[~one_box], sizes[~one_box], strict=True):
         _add_component(pairs.take(np.arange(start, start + size)), excused, change)
     return change[0], change[1], change[2]
 
 
+def _add_single_boxes(pairs: WeightedPairs, name: RowArray, excused: BoolArray, change: Float64Array) -> None:
+    """Write the steps of all components with one ground-truth box: the heaviest prediction so far holds it.
+
+    Args:
+        pairs: Ordered by component, then by prediction.
+        name: (P,) component of each pair.
+        excused: (N,) predictions in ignore regions.
+        change: (3, N) steps, written in place.
+    """
+    first = np.append(True, name[1:] != name[:-1])[: len(name)]
+    _, rank = np.unique(pairs.weight, return_inverse=True)
+    value = np.cumsum(first) * (len(rank) + 1) + rank
+    heaviest = np.maximum.accumulate(value)
+    takes = np.append(True, heaviest[1:] > heaviest[:-1])[: len(value)]
+    holder = np.maximum.accumulate(np.where(takes, np.arange(len(value)), 0))
+    state = np.stack([np.ones(len(holder)), pairs.affinity[holder], excused[pairs.prediction[holder]]])
+    before = np.where(first, 0.0, np.roll(state, 1, axis=1))
+    change[:, pairs.prediction] = state - before
+
+
 def _add_component(pairs: WeightedPairs, excused: BoolArray, change: Float64Array) -> None:
-    """Write the steps of one connected component with several pairs into `change`."""
+    """Write the steps of one connected component with several ground-truth boxes into `change`."""
     rows, row = np.unique(pairs.prediction, return_inverse=True)
     columns, column = np.unique(pairs.ground_truth, return_inverse=True)
     weight = np.full((len(rows), len(columns)), -np.inf)
