@@ -19,6 +19,7 @@ from evaluator.errors import BenchmarkError
 from server.api import leaderboards, openapi, problems, sending, submissions, uploads
 from server.api.edge import Web, attach
 from server.api.identity import Identities
+from server.api.polling import Polls, RepeatedPolls
 from server.api.spool import UploadGate, UploadLimits
 from server.api.watch import Watch
 from server.charts import ChartStore
@@ -63,6 +64,7 @@ def create_app(services: Services, *, limits: UploadLimits | None = None) -> Fas
     for kind in (BenchmarkError, HTTPException, RequestValidationError):
         app.add_exception_handler(kind, _on_error)
     app.add_exception_handler(Exception, _on_unforeseen)
+    app.add_middleware(RepeatedPolls, polls=web.polls, prefix=f"{API}/submissions/")
     app.add_middleware(SecurityHeaders)
     return app
 
@@ -78,6 +80,7 @@ def _web(services: Services, limits: UploadLimits) -> Web:
         identities=Identities(services.settings),
         gate=UploadGate(services.blobs.incoming, limits),
         watch=Watch(services),
+        polls=Polls(services),
         charts=ChartStore(services.settings.data_dir / "charts"),
     )
 
@@ -118,7 +121,7 @@ async def _on_unforeseen(request: Request, exception: Exception) -> Response:
     return response
 
 
-def _answer(request: Request, problem: problems.Problem, headers: dict[str, str]) -> Response:
+def _answer(request: Request, problem: problems.ProblemDocument, headers: dict[str, str]) -> Response:
     if request.url.path.startswith("/api/"):
         return problems.problem_response(problem, headers)
     return error_page(request, problem)

@@ -13,6 +13,7 @@ from starlette.responses import Response
 from evaluator.errors import BenchmarkError
 from server.api import problems
 from server.api.identity import Credentials, Identities, Identity, credentials_of
+from server.api.polling import Polls, names_version
 from server.api.problems import title_of
 from server.api.spool import UploadGate
 from server.api.watch import Watch
@@ -31,6 +32,7 @@ class Web:
     identities: Identities
     gate: UploadGate
     watch: Watch
+    polls: Polls
     charts: ChartStore
 
 
@@ -75,13 +77,13 @@ def json_response(document: msgspec.Struct, *, status: int = 200, headers: dict[
 def not_modified(request: Request, etag: str) -> Response | None:
     """Answer 304 when the asker already holds this version (RFC 9110, section 13.1.2)."""
     given = request.headers.get("if-none-match")
-    if given is None:
-        return None
-    known = {value.strip().removeprefix("W/") for value in given.split(",")}
-    if etag in known or "*" in known:
-        headers = {"ETag": etag, "Cache-Control": "private, no-cache", "Vary": "Authorization, Cookie"}
-        return Response(status_code=304, headers=headers)
-    return None
+    return unchanged(etag) if given is not None and names_version(given, etag) else None
+
+
+def unchanged(etag: str, headers: dict[str, str] | None = None) -> Response:
+    """Make an answer 304."""
+    own = {"ETag": etag, "Cache-Control": "private, no-cache", "Vary": "Authorization, Cookie"}
+    return Response(status_code=304, headers={**own, **(headers or {})})
 
 
 def answers(*kinds: type[BenchmarkError], **good: Any) -> dict[int | str, dict[str, Any]]:  # noqa: ANN401 - OpenAPI
@@ -118,5 +120,5 @@ def document_answer(
 
 
 def _problem_answer() -> dict[str, Any]:
-    schema = {"$ref": "#/components/schemas/Problem"}
+    schema = {"$ref": "#/components/schemas/ProblemDocument"}
     return {"description": "", "content": {problems.MEDIA_TYPE: {"schema": schema, "examples": {}}}}

@@ -7,7 +7,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from server.api.documents import EXPOSED
-from server.api.problems import MEDIA_TYPE, Problem
+from server.api.problems import MEDIA_TYPE, ProblemDocument
 
 TITLE = "Cityscapes 3D benchmark"
 
@@ -16,6 +16,8 @@ DESCRIPTION = """Send predictions, follow their scoring, read leaderboards.
 Everything that changes something needs `Authorization: Bearer <token>`; tokens are made on your account page.
 Errors are problem documents (RFC 9457) with a stable `code`. Numbers are in full precision, undefined is `null`.
 """
+
+_PROBLEM = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}}
 
 _METHODS = ("get", "put", "post", "patch", "delete", "head")
 
@@ -34,7 +36,7 @@ def _finished(document: dict[str, Any]) -> dict[str, Any]:
     schemas = components.setdefault("schemas", {})
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
-    _, ours = msgspec.json.schema_components([*EXPOSED, Problem], ref_template="#/components/schemas/{name}")
+    _, ours = msgspec.json.schema_components([*EXPOSED, ProblemDocument], ref_template="#/components/schemas/{name}")
     schemas.update(ours)
     components["securitySchemes"] = {
         "token": {"type": "http", "scheme": "bearer", "description": "An API token from your account page"}
@@ -48,13 +50,12 @@ def _finished(document: dict[str, Any]) -> dict[str, Any]:
 
 def _finish_operation(operation: dict[str, Any]) -> None:
     responses = operation["responses"]
-    # FastAPI announces its own validation answer everywhere; ours is a problem document where one is documented.
-    plain = responses.get("422", {}).get("content", {}).get("application/json", {})
-    if plain.get("schema", {}).get("$ref", "").endswith("HTTPValidationError"):
-        responses["422"]["content"].pop("application/json")
-        if not responses["422"]["content"]:
-            del responses["422"]
+    unforeseen = {"description": "Something unforeseen happened.", "content": _PROBLEM}
+    # FastAPI announces its own validation answer wherever there are parameters; ours is a problem document.
+    if "application/json" in responses.get("422", {}).get("content", {}):
+        documented = responses["422"]["content"].get(MEDIA_TYPE)
+        description = responses["422"]["description"] if documented else "Values of the request cannot be used."
+        content = {MEDIA_TYPE: documented} if documented else _PROBLEM
+        responses["422"] = {"description": description, "content": content}
     operation["security"] = [{"token": []}, {}]
-    unforeseen = {"description": "Something unforeseen happened.", "content": {}}
-    unforeseen["content"] = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
     responses.setdefault("500", unforeseen)

@@ -26,7 +26,7 @@ log = structlog.get_logger(__name__)
 MEDIA_TYPE = "application/problem+json"
 
 
-class Problem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class ProblemDocument(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What went wrong and what helps (RFC 9457)."""
 
     type: str
@@ -56,9 +56,9 @@ class InternalError(ServerError):
     code = "internal_error"
 
 
-def problem_of(error: BenchmarkError) -> Problem:
+def problem_of(error: BenchmarkError) -> ProblemDocument:
     """Describe an error of the project's tree."""
-    return Problem(
+    return ProblemDocument(
         type=f"/problems/{error.code}",
         title=title_of(type(error)),
         status=error.status,
@@ -89,7 +89,7 @@ def error_of(exception: Exception) -> BenchmarkError:
     return InternalError("The maintainers can find the cause by the reference in `instance`.")
 
 
-def problem_response(problem: Problem, headers: dict[str, str] | None = None) -> Response:
+def problem_response(problem: ProblemDocument, headers: dict[str, str] | None = None) -> Response:
     """Answer with a problem document."""
     extra = dict(headers or {})
     if problem.retry_after_s is not None:
@@ -104,7 +104,7 @@ def problem_response(problem: Problem, headers: dict[str, str] | None = None) ->
     return Response(msgspec.json.encode(problem), problem.status, extra, media_type=MEDIA_TYPE)
 
 
-def unforeseen(request: Request, exception: Exception) -> Problem:
+def unforeseen(request: Request, exception: Exception) -> ProblemDocument:
     """Log an unforeseen exception under a reference and describe it without leaking anything."""
     reference = f"urn:cs3d:error:{secrets.token_hex(8)}"
     # Formatted here: some log renderers show local variables, and those hold tokens and passwords.

@@ -26,8 +26,10 @@ from server.api.edge import (
     json_response,
     not_modified,
     read,
+    unchanged,
 )
 from server.api.identity import Credentials, Identity
+from server.api.polling import Answer, Basis, bases_of, key_of, names_version
 from server.api.watch import Mark, mark_of
 from server.errors import Forbidden, IllegalTransition, NotAuthenticated, NotFound, NotScored
 from server.models import Submission
@@ -55,6 +57,7 @@ class _View(msgspec.Struct, frozen=True):
     document: documents.SubmissionDocument
     mark: Mark
     etag: str
+    basis: Basis
 
 
 def visible(session: Session, submission_id: str, identity: Identity | None) -> tuple[Submission, bool]:
@@ -114,18 +117,15 @@ async def show_submission(
 ) -> Response:
     """Show a submission. With `wait` and If-None-Match, answer as soon as it differs from that version."""
     view = await run_in_threadpool(_view, web, asker, submission_id)
-    unchanged = not_modified(request, view.etag)
+    known = request.headers.get("if-none-match")
     # Without a version to compare to, waiting is for the next change of something that still changes.
-    waits = unchanged is not None or request.headers.get("if-none-match") is None
-    waits = waits and wait > 0 and not view.document.terminal
+    waits = wait > 0 and not view.document.terminal and (known is None or names_version(known, view.etag))
     if waits and await web.watch.wait(uuid.UUID(view.document.id), view.mark, wait):
         view = await run_in_threadpool(_view, web, asker, submission_id)
-        unchanged = not_modified(request, view.etag)
-    retry = {} if view.document.terminal else {"Retry-After": str(POLL_S)}
-    if unchanged is not None:
-        unchanged.headers.update(retry)
-        return unchanged
-    return json_response(view.document, headers={"ETag": view.etag, **retry})
+    answer = _answer(view)
+    if asker.token is not None:
+        web.polls.keep(key_of(asker.token, view.document.id), answer)
+    return answer.unchanged if known is not None and names_version(known, view.etag) else answer.full
 
 
 @router.get(
@@ -229,9 +229,18 @@ def _view(web: Web, asker: Credentials, submission_id: str) -> _View:
     def work(session: Session, identity: Identity | None) -> _View:
         submission, mine = visible(session, submission_id, identity)
         document = rendering.submission_document(submission, web.services.blobs, owned=mine)
-        return _View(document, mark_of(submission), f'"{submission.version}{"o" if mine else "p"}"')
+        key = key_of(asker.token or "", document.id)
+        basis = bases_of(session, [key]).get(key, ())
+        return _View(document, mark_of(submission), f'"{submission.version}{"o" if mine else "p"}"', basis)
 
     return read(web, asker, work)
+
+
+def _answer(view: _View) -> Answer:
+    """Render a view in both ways."""
+    retry = {} if view.document.terminal else {"Retry-After": str(POLL_S)}
+    full = json_response(view.document, headers={"ETag": view.etag, **retry})
+    return Answer(basis=view.basis, etag=view.etag, full=full, unchanged=unchanged(view.etag, retry))
 
 
 async def _events(web: Web, asker: Credentials, view: _View) -> AsyncIterator[ServerSentEvent]:

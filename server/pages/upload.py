@@ -14,7 +14,7 @@ from server.api import receiving
 from server.api.errors import InvalidValue, MissingToken, ValidationFailed
 from server.api.identity import Identity
 from server.api.multipart import Form, FormReader, boundary_of
-from server.api.problems import Problem, problem_of
+from server.api.problems import ProblemDocument, problem_of
 from server.api.receiving import Admission
 from server.api.sending import announced_size, order_of
 from server.api.spool import Spool, at_a_decent_pace
@@ -108,7 +108,7 @@ def _admit(visit: Visit, order: receiving.Order) -> Admission:
         return receiving.admit(session, Identity(user, None), order)
 
 
-def _form_again(visit: Visit, fields: Fields, problem: Problem) -> Response:
+def _form_again(visit: Visit, fields: Fields, problem: ProblemDocument) -> Response:
     with visit.web.services.snapshot() as session:
         user = visit.web.identities.user_of(session, visit.login)
         if user is None:

@@ -1,0 +1,60 @@
+"""One web application per test, on SQLite and without a broker: an upload must not need one."""
+
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from server import database
+from server.services import Services
+from server.settings import Settings
+from tests.integration.site import Site, populate, running_site
+from tests.services.installation import SMALL_CASE, zip_of
+from worker.evaluation import evaluate_submission
+from worker.sandbox import Sandbox
+
+
+@pytest.fixture(scope="session")
+def archive() -> bytes:
+    """Give predictions for the two images of the small case."""
+    return zip_of(SMALL_CASE / "pred")
+
+
+@pytest.fixture
+def quiet_services(tmp_path: Path) -> Iterator[Services]:
+    """Give services on a new data folder, with nobody behind the broker's address."""
+    nobody = f"redis+socket://{tmp_path / 'nobody.sock'}"
+    services = Services.from_settings(
+        Settings(data_dir=tmp_path / "data", broker_url=nobody, broker_timeout_s=0.2, disk_floor_bytes=0)
+    )
+    database.migrate(services.engine)
+    populate(services)
+    yield services
+    services.close()
+
+
+@pytest.fixture
+def site(quiet_services: Services) -> Iterator[Site]:
+    """Give a running application with team `lab` and phase `cs3d/test`."""
+    with running_site(quiet_services) as site:
+        yield site
+
+
+@pytest.fixture(scope="session")
+def sandbox() -> Iterator[Sandbox]:
+    """Give the worker's scoring process."""
+    sandbox = Sandbox()
+    sandbox.start()
+    yield sandbox
+    sandbox.kill()
+
+
+@pytest.fixture
+def score(site: Site, sandbox: Sandbox) -> Callable[[str], None]:
+    """Give a function that does a worker's work on one submission."""
+
+    def work(submission_id: str) -> None:
+        evaluate_submission(site.services, sandbox, uuid.UUID(submission_id), worker="test")
+
+    return work
