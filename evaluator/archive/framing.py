@@ -121,7 +121,9 @@ def _locate_members(
     bounds = [*(entries[index].header_offset for index in by_offset), directory.offset]
     if bounds[0]:
         findings.add(Code.PREFIX_BYTES, detail=f"the first member starts at byte {bounds[0]}")
-    crowded = [n for n, index in enumerate(by_offset) if not bounds[n] + _LOCAL.size <= bounds[n + 1] <= directory.offset]
+    crowded = [
+        n for n, index in enumerate(by_offset) if not bounds[n] + _LOCAL.size <= bounds[n + 1] <= directory.offset
+    ]
     for number in crowded:
         detail = f"its header at byte {bounds[number]} reaches past byte {min(bounds[number + 1], directory.offset)}"
         findings.add(Code.OVERLAPPING_MEMBERS, file=entries[by_offset[number]].shown_name, detail=detail)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
 from evaluator.archive.end_record import Archive
 from evaluator.archive.framing import Member, check_framing
@@ -82,21 +82,24 @@ def open_source(path: Path, limits: Limits, findings: Findings) -> Iterator[Sour
 def open_archive(path: Path, findings: Findings) -> Iterator[Archive | None]:
     """Map a file into memory; yields None when it cannot be opened."""
     try:
-        file = path.open("rb")
+        file = _open_regular(path)
     except (OSError, ValueError) as error:
         findings.add(Code.UNREADABLE, detail=getattr(error, "strerror", None) or str(error))
         yield None
         return
     with file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            findings.add(Code.UNREADABLE, detail="it is not a regular file")
-            yield None
-        elif not status.st_size:
+        if not os.fstat(file.fileno()).st_size:
             yield b""
-        else:
-            with mmap(file.fileno(), 0, access=ACCESS_READ) as archive:
-                yield archive
+            return
+        with mmap(file.fileno(), 0, access=ACCESS_READ) as archive:
+            yield archive
+
+
+def _open_regular(path: Path) -> BinaryIO:
+    """Open a regular file; opening a pipe would wait for its other end."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(0, "it is not a regular file")
+    return path.open("rb")
 
 
 def _open_folder(root: Path, limits: Limits, findings: Findings) -> FolderSource | None:
