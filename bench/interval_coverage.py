@@ -1,8 +1,8 @@
 """How often a 95 % interval holds the truth, by simulation: it should be 93 to 97 times in 100.
 
-    python bench/interval_coverage.py [--data-sets=500] [--images=500]
+    python bench/interval_coverage.py [--data-sets=100] [--images=1525]
 
-A synthetic benchmark of 1525 images plays the population, its scores are the truth. Each simulated data set draws
+A synthetic benchmark of 4000 images plays the population, its scores are the truth. Each simulated data set draws
 images from it; intervals of that data set are computed as always and compared with the truth.
 """
 
@@ -19,7 +19,9 @@ sys.path.insert(0, str(ROOT))
 from evaluator.evaluation import evaluate  # noqa: E402 - the path is set above
 from evaluator.ground_truth import read_ground_truth  # noqa: E402 - likewise
 from evaluator.intake import read_predictions  # noqa: E402 - likewise
-from evaluator.replicates import MEANS, METRICS, replicate  # noqa: E402 - likewise
+from evaluator.predictions import Float64Array  # noqa: E402 - likewise
+from evaluator.replicates import METRICS, replicate  # noqa: E402 - likewise
+from evaluator.resampling import WeightArray  # noqa: E402 - likewise
 from evaluator.statistics import Statistics  # noqa: E402 - likewise
 from evaluator.synthetic import (  # noqa: E402 - likewise
     QUALITIES,
@@ -27,41 +29,59 @@ from evaluator.synthetic import (  # noqa: E402 - likewise
     synthesize_predictions,
     write_zip,
 )
+from evaluator.uncertainty import LEVEL, bca_bounds  # noqa: E402 - likewise
 
-POPULATION, RESAMPLES = 1525, 400
-SHOWN = ("car", "bicycle")
-"""Classes with enough boxes in every simulated data set."""
+POPULATION, RESAMPLES = 4000, 300
+TAILS = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
 
 
 def main() -> None:
-    """Simulate and print the coverage of each metric."""
+    """Simulate and print the coverage of each metric by both methods."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data-sets", type=int, default=500)
-    parser.add_argument("--images", type=int, default=500)
+    parser.add_argument("--data-sets", type=int, default=100)
+    parser.add_argument("--images", type=int, default=1525)
     args = parser.parse_args()
     statistics = _population()
     truth = _table(statistics, np.ones((1, POPULATION), dtype=np.float32))[0]
-    rng = np.random.default_rng(11)
-    hits = np.zeros(len(truth))
+    rng = np.random.default_rng(3)
+    hits = np.zeros((2, len(truth)))
     for _ in range(args.data_sets):
-        data = rng.integers(0, POPULATION, args.images)
-        drawn = data[rng.integers(0, args.images, (RESAMPLES, args.images))]
-        weights = np.stack([np.bincount(row, minlength=POPULATION) for row in drawn]).astype(np.float32)
-        lower, upper = np.nanquantile(_table(statistics, weights), [0.025, 0.975], axis=0)
-        hits += (lower <= truth) & (truth <= upper)
-    coverage = (100 * hits / args.data_sets).reshape(-1, len(METRICS))
-    print(f"coverage of 95 % percentile intervals, {args.data_sets} data sets of {args.images} images")
-    names = ["mean (" + ", ".join(MEANS) + ")", *(f"{label} ({', '.join(METRICS)})" for label in SHOWN)]
-    for name, row in zip(names, coverage[[0, *(1 + statistics.labels.index(label) for label in SHOWN)]], strict=True):
-        print(f"  {name}: " + "  ".join(f"{value:.1f}" for value in row))
+        hits += _covered(statistics, rng.integers(0, POPULATION, args.images), truth, rng)
+    print(f"coverage of 95 % intervals in percent, {args.data_sets} data sets of {args.images} images")
+    for method, counts in zip(("percentile", "bca"), hits, strict=True):
+        print(f"  {method:21}" + "".join(f"{name:>17}" for name in METRICS))
+        for name, row in zip(("mean", *statistics.labels), counts.reshape(-1, len(METRICS)), strict=True):
+            print(f"    {name:19}" + "".join(f"{100 * value / args.data_sets:17.0f}" for value in row))
+
+
+def _covered(
+    statistics: Statistics,
+    data: np.ndarray[tuple[int], np.dtype[np.int64]],
+    truth: Float64Array,
+    rng: np.random.Generator,
+) -> Float64Array:
+    """Return, for percentile and BCa intervals of one data set, which metrics they hold (1 or 0)."""
+    size = len(data)
+    drawn = data[rng.integers(0, size, (RESAMPLES, size))]
+    resampled = _table(
+        statistics, np.stack([np.bincount(row, minlength=POPULATION) for row in drawn]).astype(np.float32)
+    )
+    whole = np.bincount(data, minlength=POPULATION).astype(np.float32)
+    left_out = np.repeat(whole[None], np.count_nonzero(whole), axis=0)
+    left_out[np.arange(len(left_out)), np.flatnonzero(whole)] -= 1
+    estimate, jackknife = _table(statistics, whole[None])[0], _table(statistics, left_out)
+    lower, upper = np.nanquantile(resampled, TAILS, axis=0)
+    bounds = [bca_bounds(estimate[i], resampled[:, i], jackknife[:, i], LEVEL) for i in range(len(truth))]
+    by_bca = [bound is not None and bound[0] <= value <= bound[1] for bound, value in zip(bounds, truth, strict=True)]
+    return np.array([(lower <= truth) & (truth <= upper), by_bca], dtype=np.float64)
 
 
 def _population() -> Statistics:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files = synthesize_ground_truth(POPULATION, seed=1)
+        files = synthesize_ground_truth(POPULATION, seed=7)
         write_zip(files, folder / "gt.zip")
-        write_zip(synthesize_predictions(files, QUALITIES[0], 2, 30), folder / "predictions.zip")
+        write_zip(synthesize_predictions(files, QUALITIES[0], 8, 20), folder / "predictions.zip")
         ground_truth = read_ground_truth(folder / "gt.zip")
         predictions = read_predictions(folder / "predictions.zip", images=ground_truth.image_list()).predictions
         if predictions is None:
@@ -69,9 +89,7 @@ def _population() -> Statistics:
         return evaluate(ground_truth, predictions).statistics
 
 
-def _table(
-    statistics: Statistics, weights: np.ndarray[tuple[int, ...], np.dtype[np.float32]]
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _table(statistics: Statistics, weights: WeightArray) -> Float64Array:
     found = replicate(statistics, weights)
     return np.concatenate([found.means[:, None], found.classes], axis=1).reshape(len(weights), -1)
 
