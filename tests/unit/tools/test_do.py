@@ -117,6 +117,6 @@ def test_a_bare_debian_is_told_which_package_is_missing(tmp_path: Path, monkeypa
     python = tmp_path / "python3"
     python.write_text('#!/bin/sh\ncase "$2" in *ensurepip*) exit 1;; esac\necho 3 12\n')
     python.chmod(0o755)
-    monkeypatch.setattr(do.os, "geteuid", lambda: 1000)
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
     with pytest.raises(do.CannotContinueError, match=r"apt-get install python3\.12-venv"):
         do._ensure_venv(str(python))
