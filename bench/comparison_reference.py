@@ -20,7 +20,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from evaluator.comparison.summary import Comparison, comparison_metrics  # noqa: E402  # after the path
+from evaluator.comparison.summary import ComparisonMetrics, comparison_metrics  # noqa: E402  # after the path
 from tests.array_factories import (  # noqa: E402
     Box,
     disturbed_boxes,
@@ -86,7 +86,7 @@ def reference_scores(name: str, truth: list[Box], found: list[Box]) -> dict[str,
     return scores
 
 
-def our_scores(comparison: Comparison) -> dict[str, float | None]:
+def our_scores(comparison: ComparisonMetrics) -> dict[str, float | None]:
     """Name our numbers as the references name theirs; undefined errors take the value the references give them."""
     scores: dict[str, float | None] = {}
     for seen in comparison.nuscenes.classes:

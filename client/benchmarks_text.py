@@ -1,15 +1,15 @@
-"""Comparison metrics as tables for the terminal."""
+"""ComparisonMetrics metrics as tables for the terminal."""
 
 from client.text_table import number, percent, text_table
-from evaluator.comparison.summary import Comparison
+from evaluator.comparison.summary import ComparisonMetrics
 
 
-def benchmarks_text(comparison: Comparison) -> str:
+def benchmarks_text(comparison: ComparisonMetrics) -> str:
     """Return one table for each benchmark."""
     return "\n\n".join([_kitti(comparison), _nuscenes(comparison), _waymo(comparison), _argoverse(comparison)])
 
 
-def _kitti(comparison: Comparison) -> str:
+def _kitti(comparison: ComparisonMetrics) -> str:
     """Show AP_BEV and AP_3D."""
     scores = comparison.kitti
     header = ["class", *(f"{name}@{part.min_iou}" for part in scores.means for name in ("AP_BEV", "AP_3D"))]
@@ -21,7 +21,7 @@ def _kitti(comparison: Comparison) -> str:
     return text_table("As KITTI (R40)", header, rows)
 
 
-def _nuscenes(comparison: Comparison) -> str:
+def _nuscenes(comparison: ComparisonMetrics) -> str:
     """Show AP, the errors and NDS3."""
     scores = comparison.nuscenes
     lines = [(score.label, score.ap, score.ate_m, score.ase, score.aoe_rad) for score in scores.classes]
@@ -33,7 +33,7 @@ def _nuscenes(comparison: Comparison) -> str:
     return text_table(title, ["class", "AP", "ATE m", "ASE", "AOE rad"], rows)
 
 
-def _waymo(comparison: Comparison) -> str:
+def _waymo(comparison: ComparisonMetrics) -> str:
     """Show AP by range and the LET metrics."""
     scores = comparison.waymo
     lines = [(score.label, score.overall, score.ranges) for score in scores.classes]
@@ -47,7 +47,7 @@ def _waymo(comparison: Comparison) -> str:
     return text_table("As Waymo", ["class", "AP", *ranges, "LET-3D-AP", "LET-3D-APL"], rows)
 
 
-def _argoverse(comparison: Comparison) -> str:
+def _argoverse(comparison: ComparisonMetrics) -> str:
     """Show AP, the errors and CDS."""
     scores = comparison.argoverse
     rows = [

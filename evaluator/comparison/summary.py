@@ -11,7 +11,7 @@ from evaluator.ground_truth import GroundTruth
 from evaluator.predictions import Predictions
 
 
-class Comparison(msgspec.Struct, frozen=True, kw_only=True):
+class ComparisonMetrics(msgspec.Struct, frozen=True, kw_only=True):
     """The same boxes in other benchmarks' eyes. For reading beside the ranking number, never for ranking."""
 
     kitti: KittiScores
@@ -20,14 +20,14 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     argoverse: ArgoverseScores
 
 
-def comparison_metrics(ground_truth: GroundTruth, predictions: Predictions) -> Comparison:
+def comparison_metrics(ground_truth: GroundTruth, predictions: Predictions) -> ComparisonMetrics:
     """Score a submission with every comparison metric and its frozen parameters.
 
     Raises:
         UsageError: The two do not list the same images in the same order.
     """
     classes = class_boxes(predictions, ground_truth)
-    return Comparison(
+    return ComparisonMetrics(
         kitti=evaluate_kitti(classes),
         nuscenes=evaluate_nuscenes(classes),
         waymo=evaluate_waymo(classes),

@@ -16,17 +16,15 @@ image's own camera, not one mean position. No-label zones are the ignore regions
 is None where Waymo says 0. Classes map to Waymo's thresholds as in `WaymoParameters`.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import msgspec
 import numpy as np
 
-from evaluator.candidates import RowArray, pairs_within_groups
-from evaluator.comparison.assignment import components, heaviest_assignments
-from evaluator.comparison.boxes import BoolArray, Boxes, ClassBoxes
+from evaluator.comparison.assignment_steps import assignment_steps
+from evaluator.comparison.boxes import BoolArray, ClassBoxes
 from evaluator.comparison.means import defined_mean
-from evaluator.comparison.overlap import may_overlap, overlaps
+from evaluator.comparison.weighted_pairs import Tolerance, WeightedPairs, let_pairs, overlap_pairs
 from evaluator.predictions import Float64Array
 
 
@@ -43,9 +41,8 @@ class WaymoParameters(msgspec.Struct, frozen=True, kw_only=True):
     range_edges_m: tuple[float, ...] = (30.0, 50.0)
     score_cutoffs: int = 101
     max_recall_step: float = 0.05
-    longitudinal_tolerance: float = 0.1
-    """LET: tolerated error along the line of sight, as a share of the distance to the camera."""
-    min_longitudinal_tolerance_m: float = 0.5
+    longitudinal_tolerance: Tolerance = Tolerance()
+    """LET: the tolerated error along the line of sight."""
 
 
 WAYMO = WaymoParameters()
@@ -80,29 +77,6 @@ class WaymoScores(msgspec.Struct, frozen=True, kw_only=True):
     classes: tuple[WaymoClass, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WeightedPairs:
-    """Pairs that may match, and what a match is worth."""
-
-    prediction: RowArray
-    """(P,)."""
-    ground_truth: RowArray
-    """(P,)."""
-    weight: Float64Array
-    """(P,) what the assignment maximises, in (0, 1]."""
-    affinity: Float64Array
-    """(P,) what a true positive counts in the weighted precision, in [0, 1]."""
-
-    def take(self, rows: RowArray | BoolArray) -> "WeightedPairs":
-        """Return the pairs at `rows`."""
-        return WeightedPairs(
-            prediction=self.prediction[rows],
-            ground_truth=self.ground_truth[rows],
-            weight=self.weight[rows],
-            affinity=self.affinity[rows],
-        )
-
-
 def evaluate_waymo(classes: tuple[ClassBoxes, ...], parameters: WaymoParameters = WAYMO) -> WaymoScores:
     """Score every class over all distances and by range."""
     scores = tuple(_evaluate_class(boxes, parameters) for boxes in classes)
@@ -131,9 +105,8 @@ def _evaluate_class(boxes: ClassBoxes, parameters: WaymoParameters) -> WaymoClas
     """Score one class; the pairs are measured once and cut by range."""
     light = boxes.label in parameters.two_wheelers
     plain = overlap_pairs(boxes, parameters.min_iou_two_wheeler if light else parameters.min_iou_vehicle)
-    tolerant = let_pairs(
-        boxes, parameters.let_min_iou_two_wheeler if light else parameters.let_min_iou_vehicle, parameters
-    )
+    let_min_iou = parameters.let_min_iou_two_wheeler if light else parameters.let_min_iou_vehicle
+    tolerant = let_pairs(boxes, let_min_iou, parameters.longitudinal_tolerance)
     distance = [np.linalg.norm(side.center_m, axis=1) for side in (boxes.predictions, boxes.ground_truth)]
 
     def within(lower_m: float, upper_m: float | None) -> WaymoRange:
@@ -151,87 +124,6 @@ def _evaluate_class(boxes: ClassBoxes, parameters: WaymoParameters) -> WaymoClas
         label=boxes.label,
         overall=within(0.0, None),
         ranges=tuple(within(lower or 0.0, upper) for lower, upper in pairwise(edges)),
-    )
-
-
-def overlap_pairs(boxes: ClassBoxes, min_iou: float) -> WeightedPairs:
-    """Return the pairs whose 3D IoU is at least `min_iou`, weighed by it; every affinity is 1."""
-    found = [WeightedPairs(prediction=_NO_ROWS, ground_truth=_NO_ROWS, weight=_NOTHING, affinity=_NOTHING)]
-    for prediction, ground_truth in pairs_within_groups(boxes.predictions.image_index, boxes.ground_truth.image_index):
-        near = may_overlap(boxes.predictions.take(prediction), boxes.ground_truth.take(ground_truth))
-        rows = prediction[near], ground_truth[near]
-        _, iou = overlaps(boxes.predictions.take(rows[0]), boxes.ground_truth.take(rows[1]))
-        pairs = WeightedPairs(prediction=rows[0], ground_truth=rows[1], weight=iou, affinity=np.ones(len(iou)))
-        found.append(pairs.take(iou >= min_iou))
-    return _concatenate(found)
-
-
-def let_pairs(boxes: ClassBoxes, min_iou: float, parameters: WaymoParameters) -> WeightedPairs:
-    """Return the pairs whose longitudinal error is tolerated and whose aligned 3D IoU is at least `min_iou`."""
-    found = [WeightedPairs(prediction=_NO_ROWS, ground_truth=_NO_ROWS, weight=_NOTHING, affinity=_NOTHING)]
-    for block in pairs_within_groups(boxes.predictions.image_index, boxes.ground_truth.image_index):
-        prediction, ground_truth = block
-        camera_m = boxes.camera_m[boxes.ground_truth.image_index[ground_truth]]
-        seen = boxes.predictions.center_m[prediction] - camera_m
-        true = boxes.ground_truth.center_m[ground_truth] - camera_m
-        affinity = longitudinal_affinity(seen, true, parameters)
-        aligned_m = align_along_sight(seen, true) + camera_m
-        moved = moved_to(boxes.predictions.take(prediction), aligned_m)
-        near = may_overlap(moved, boxes.ground_truth.take(ground_truth)) & (affinity > 0)
-        _, iou = overlaps(moved.take(near), boxes.ground_truth.take(ground_truth[near]))
-        pairs = WeightedPairs(
-            prediction=prediction[near],
-            ground_truth=ground_truth[near],
-            weight=iou * affinity[near],
-            affinity=affinity[near],
-        )
-        found.append(pairs.take(iou >= min_iou))
-    return _concatenate(found)
-
-
-def longitudinal_affinity(seen_m: Float64Array, true_m: Float64Array, parameters: WaymoParameters) -> Float64Array:
-    """Return how well predictions agree with the ground truth along its line of sight.
-
-    Args:
-        seen_m: (P, 3) predicted centres relative to the camera.
-        true_m: (P, 3) true centres relative to the camera.
-        parameters: The tolerance.
-
-    Returns:
-        (P,) 1 without an error along the line of sight, falling linearly to 0 at the tolerance.
-    """
-    distance = np.maximum(np.linalg.norm(true_m, axis=1), 1e-6)
-    error = np.abs((seen_m * true_m).sum(axis=1) / distance - distance)
-    tolerance = np.maximum(parameters.longitudinal_tolerance * distance, parameters.min_longitudinal_tolerance_m)
-    affinity: Float64Array = np.clip(1 - error / tolerance, 0, 1)
-    return affinity
-
-
-def align_along_sight(seen_m: Float64Array, true_m: Float64Array) -> Float64Array:
-    """Move predicted centres along their own line of sight to the point nearest to the true centre, (P, 3) metres."""
-    squared = np.maximum((seen_m**2).sum(axis=1), 1e-6)
-    moved_m: Float64Array = seen_m * ((seen_m * true_m).sum(axis=1) / squared)[:, None]
-    return moved_m
-
-
-def moved_to(boxes: Boxes, center_m: Float64Array) -> Boxes:
-    """Return the same boxes with other centres."""
-    return Boxes(
-        image_index=boxes.image_index, center_m=center_m, dimensions_m=boxes.dimensions_m, yaw_rad=boxes.yaw_rad
-    )
-
-
-_NO_ROWS = np.empty(0, dtype=np.int64)
-_NOTHING = np.empty(0)
-
-
-def _concatenate(parts: list[WeightedPairs]) -> WeightedPairs:
-    """Put blocks of pairs together."""
-    return WeightedPairs(
-        prediction=np.concatenate([part.prediction for part in parts]),
-        ground_truth=np.concatenate([part.ground_truth for part in parts]),
-        weight=np.concatenate([part.weight for part in parts]),
-        affinity=np.concatenate([part.affinity for part in parts]),
     )
 
 
@@ -259,68 +151,6 @@ def _range_aps(
         integrate_curve(np.where(recall > 0, part / counted, 1.0), recall, parameters.max_recall_step)
         for part in (found, weighted)
     )  # type: ignore[return-value]  # two parts give two numbers
-
-
-def assignment_steps(pairs: WeightedPairs, excused: BoolArray) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Tell what each prediction changes when predictions enter the best assignment one by one, highest score first.
-
-    Returns:
-        Three (N,) arrays, one value for each prediction: change in the number of true positives, in the sum of their
-        affinities, and in the number of true positives that lie in ignore regions. Sums from the start give
-        the state after each prediction, so one pass serves all score cutoffs.
-    """
-    change = np.zeros((3, len(excused)))
-    name = components(pairs.prediction, pairs.ground_truth)
-    order = np.lexsort((pairs.ground_truth, pairs.prediction, name))
-    pairs, name = pairs.take(order), name[order]
-    starts = np.flatnonzero(np.append(True, name[1:] != name[:-1])[: len(name)])
-    sizes = np.diff(np.append(starts, len(name)))
-    boxes = pairs.ground_truth
-    one_box = np.minimum.reduceat(boxes, starts) == np.maximum.reduceat(boxes, starts) if len(starts) else sizes > 0
-    simple = np.repeat(one_box, sizes)
-    _add_single_boxes(pairs.take(simple), name[simple], excused, change)
-    for start, size in zip(starts[~one_box], sizes[~one_box], strict=True):
-        _add_component(pairs.take(np.arange(start, start + size)), excused, change)
-    return change[0], change[1], change[2]
-
-
-def _add_single_boxes(pairs: WeightedPairs, name: RowArray, excused: BoolArray, change: Float64Array) -> None:
-    """Write the steps of all components with one ground-truth box: the heaviest prediction so far holds it.
-
-    Args:
-        pairs: Ordered by component, then by prediction.
-        name: (P,) component of each pair.
-        excused: (N,) predictions in ignore regions.
-        change: (3, N) steps, written in place.
-    """
-    first = np.append(True, name[1:] != name[:-1])[: len(name)]
-    _, rank = np.unique(pairs.weight, return_inverse=True)
-    value = np.cumsum(first) * (len(rank) + 1) + rank
-    heaviest = np.maximum.accumulate(value)
-    takes = np.append(True, heaviest[1:] > heaviest[:-1])[: len(value)]
-    holder = np.maximum.accumulate(np.where(takes, np.arange(len(value)), 0))
-    state = np.stack([np.ones(len(holder)), pairs.affinity[holder], excused[pairs.prediction[holder]]])
-    before = np.where(first, 0.0, np.roll(state, 1, axis=1))
-    change[:, pairs.prediction] = state - before
-
-
-def _add_component(pairs: WeightedPairs, excused: BoolArray, change: Float64Array) -> None:
-    """Write the steps of one connected component with several ground-truth boxes into `change`."""
-    rows, row = np.unique(pairs.prediction, return_inverse=True)
-    columns, column = np.unique(pairs.ground_truth, return_inverse=True)
-    weight = np.full((len(rows), len(columns)), -np.inf)
-    affinity = np.zeros_like(weight)
-    weight[row, column], affinity[row, column] = pairs.weight, pairs.affinity
-    owners = heaviest_assignments(weight)
-    held = owners >= 0
-    after = np.stack(
-        [
-            held.sum(axis=1),
-            (affinity[owners, np.arange(len(columns))] * held).sum(axis=1),
-            (excused[rows][owners] & held).sum(axis=1),
-        ]
-    )
-    change[:, rows] = np.diff(after, axis=1, prepend=0.0)
 
 
 def integrate_curve(precision: Float64Array, recall: Float64Array, max_recall_step: float) -> float:

@@ -9,7 +9,7 @@ import pytest
 
 from client.main import main
 from client.text_table import number, percent, points, text_table
-from evaluator.comparison.summary import Comparison
+from evaluator.comparison.summary import ComparisonMetrics
 from evaluator.diagnosis.diagnose import Diagnosis
 from evaluator.diagnosis.difference import Difference
 
@@ -51,7 +51,7 @@ def test_diagnose_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--json", "--benchmarks"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert msgspec.convert(document["diagnosis"], Diagnosis).classes[0].label == "car"
-    assert msgspec.convert(document["comparison"], Comparison).kitti.classes[0].label == "car"
+    assert msgspec.convert(document["comparison"], ComparisonMetrics).kitti.classes[0].label == "car"
 
 
 def test_compare_splits_the_difference(capsys: pytest.CaptureFixture[str], worse: Path) -> None:

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from evaluator.comparison.summary import Comparison, comparison_metrics
+from evaluator.comparison.summary import ComparisonMetrics, comparison_metrics
 from tests.array_factories import Box, disturbed_boxes, make_ground_truth, make_predictions, scattered_boxes
 
 LABELS = ("car", "truck", "bus", "train", "motorcycle", "bicycle")
@@ -32,7 +32,7 @@ def numbers(value: Any, name: str = "") -> Iterator[tuple[str, float | None]]:
         yield name, value
 
 
-def measured(comparison: Comparison) -> list[tuple[str, float | None]]:
+def measured(comparison: ComparisonMetrics) -> list[tuple[str, float | None]]:
     """Return every metric by name; parameters and labels are left out, an unclassified name fails."""
     content = msgspec.to_builtins(comparison)
     for benchmark in content.values():
@@ -48,7 +48,7 @@ def scene(seed: int) -> tuple[list[Box], list[Box]]:
     return truth, disturbed_boxes(seed + 1, truth, images=IMAGES)
 
 
-def compare(truth: list[Box], found: list[Box]) -> Comparison:
+def compare(truth: list[Box], found: list[Box]) -> ComparisonMetrics:
     """Compute all comparison metrics."""
     return comparison_metrics(make_ground_truth(truth, images=IMAGES), make_predictions(found, images=IMAGES))
 
@@ -109,4 +109,4 @@ def test_a_false_positive_never_helps() -> None:
 def test_scores_can_be_written_and_read_as_json() -> None:
     """A comparison survives JSON unchanged."""
     comparison = compare(*scene(1))
-    assert msgspec.json.decode(msgspec.json.encode(comparison), type=Comparison) == comparison
+    assert msgspec.json.decode(msgspec.json.encode(comparison), type=ComparisonMetrics) == comparison

@@ -12,7 +12,7 @@ import pytest
 
 from evaluator.comparison.argoverse import ArgoverseClass
 from evaluator.comparison.nuscenes import NuscenesClass
-from evaluator.comparison.summary import Comparison, comparison_metrics
+from evaluator.comparison.summary import ComparisonMetrics, comparison_metrics
 from evaluator.comparison.waymo import WaymoClass, WaymoRange
 from tests.array_factories import Box, make_ground_truth, make_predictions
 
@@ -25,7 +25,7 @@ def boxes(rows: list[dict[str, Any]]) -> list[Box]:
 
 
 @pytest.fixture(scope="module", params=SCENES, ids=lambda path: path.stem)
-def scored(request: pytest.FixtureRequest) -> tuple[Comparison, dict[str, float]]:
+def scored(request: pytest.FixtureRequest) -> tuple[ComparisonMetrics, dict[str, float]]:
     """Return our numbers and the recorded ones of a scene."""
     content = json.loads(request.param.read_text())
     ground_truth = make_ground_truth(boxes(content["truth"]), images=content["images"], camera=content["camera"])
@@ -49,7 +49,7 @@ def nuscenes_numbers(score: NuscenesClass, distances_m: tuple[float, ...]) -> di
     return named | {"trans_err": score.ate_m, "scale_err": score.ase, "orient_err": score.aoe_rad}
 
 
-def test_nuscenes_numbers_equal_the_devkit(scored: tuple[Comparison, dict[str, float]]) -> None:
+def test_nuscenes_numbers_equal_the_devkit(scored: tuple[ComparisonMetrics, dict[str, float]]) -> None:
     """AP at each distance and the three errors equal nuscenes-devkit."""
     comparison, expected = scored
     for label in ("car", "bicycle"):
@@ -63,7 +63,7 @@ def argoverse_numbers(score: ArgoverseClass) -> dict[str, float | None]:
     return {"ap": score.ap, "ate": score.ate_m, "ase": score.ase, "aoe": score.aoe_rad, "cds": score.cds}
 
 
-def test_argoverse_numbers_equal_av2(scored: tuple[Comparison, dict[str, float]]) -> None:
+def test_argoverse_numbers_equal_av2(scored: tuple[ComparisonMetrics, dict[str, float]]) -> None:
     """AP, the three errors and CDS equal av2."""
     comparison, expected = scored
     for label in ("car", "bicycle"):
@@ -85,7 +85,7 @@ def waymo_numbers(score: WaymoClass) -> dict[str, float]:
     return numbers
 
 
-def test_waymo_numbers_equal_waymos_operation(scored: tuple[Comparison, dict[str, float]]) -> None:
+def test_waymo_numbers_equal_waymos_operation(scored: tuple[ComparisonMetrics, dict[str, float]]) -> None:
     """AP, LET-3D-AP and LET-3D-APL of every range equal Waymo's own operation."""
     comparison, expected = scored
     for label in ("car", "bicycle"):

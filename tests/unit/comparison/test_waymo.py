@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from evaluator.comparison.boxes import class_boxes
-from evaluator.comparison.waymo import (
-    WAYMO,
-    WaymoClass,
-    align_along_sight,
-    evaluate_waymo,
-    integrate_curve,
-    longitudinal_affinity,
-)
+from evaluator.comparison.waymo import WaymoClass, evaluate_waymo, integrate_curve
+from evaluator.comparison.weighted_pairs import Tolerance, align_along_sight, longitudinal_affinity
 from tests.array_factories import AWAY, Box, make_ground_truth, make_predictions
 
 
@@ -43,7 +37,7 @@ def test_the_tolerance_ends_at_a_tenth_of_the_distance() -> None:
 def test_near_the_camera_half_a_metre_is_tolerated() -> None:
     """Below 5 m the tolerance does not shrink further."""
     # 0.25 of 0.5 m at 3 m
-    affinity = longitudinal_affinity(np.array([[3.25, 0, 0]]), np.array([[3.0, 0, 0]]), WAYMO)
+    affinity = longitudinal_affinity(np.array([[3.25, 0, 0]]), np.array([[3.0, 0, 0]]), Tolerance())
     assert affinity == pytest.approx([0.5])
 
 
