@@ -80,7 +80,7 @@ def reference_scores(name: str, truth: list[Box], found: list[Box]) -> dict[str,
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "boxes.json"
         path.write_text(json.dumps({"labels": LABELS, "camera": CAMERA, "truth": rows(truth), "found": rows(found)}))
-        script = Path(__file__).with_name(f"reference_{name}.py")
+        script = Path(__file__).with_name(f"_reference_{name}.py")
         done = subprocess.run([interpreter(name), script, path], check=True, capture_output=True, text=True)
     scores: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
     return scores

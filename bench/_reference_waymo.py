@@ -2,7 +2,7 @@
 
 The operation is compiled against TensorFlow 2.13 (about 1 GB on disk), so this runs by hand only.
 
-    python reference_waymo.py BOXES.json      prints {metric: value}
+    python _reference_waymo.py BOXES.json      prints {metric: value}
 """
 
 import json

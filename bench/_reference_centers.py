@@ -3,7 +3,7 @@
 Both packages pull in maps, plots and learning frameworks that their metrics never call; those imports are answered by
 empty stand-ins, so that two small wheels without dependencies are enough.
 
-    python reference_centers.py BOXES.json      prints {metric: value}
+    python _reference_centers.py BOXES.json      prints {metric: value}
 """
 
 import json
