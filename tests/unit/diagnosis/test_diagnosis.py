@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from evaluator.diagnosis.causes import FALSE_POSITIVE_CAUSES, sort_by_cause
 from evaluator.diagnosis.diagnose import Diagnosis, diagnose
 from evaluator.diagnosis.nearest import nearest
 from evaluator.diagnosis.working_point import at_working_point
@@ -121,6 +122,34 @@ def test_classes_without_ground_truth_are_undefined() -> None:
     """Buses are in no image: nothing about them is explained."""
     bus = next(part for part in diagnose(evaluation_of(TRUTH, FOUND)).classes if part.label == "bus")
     assert (bus.accuracy, bus.causes, bus.loss, bus.calibration) == (None, None, None, None)
+
+
+@pytest.mark.parametrize("cause", ["both", "background"])
+def test_gains_are_what_a_submission_without_those_predictions_scores(cause: str) -> None:
+    """Predictions of these causes match nothing at any threshold, so they can be left out and evaluated again."""
+    evaluation = evaluation_of(TRUTH, FOUND)
+    by_cause = sort_by_cause(nearest(evaluation), 0.7).cause == FALSE_POSITIVE_CAUSES.index(cause)
+    discarded_somewhere = evaluation.matches.ignored_thresholds > 0
+    in_order = sorted(FOUND, key=lambda box: box.image)
+    kept = [box for box, gone in zip(in_order, by_cause & ~discarded_somewhere, strict=True) if not gone]
+    assert len(kept) < len(FOUND)
+    repaired = evaluation_of(TRUTH, kept)
+    for before, after, part in zip(
+        evaluation.scores.classes, repaired.scores.classes, diagnose(evaluation).classes, strict=True
+    ):
+        if part.causes is not None and before.ap is not None and after.ap is not None:
+            gain = next(item.ap_gain for item in part.causes.causes if item.name == cause)
+            assert before.ap + gain == pytest.approx(after.ap, abs=1e-12)
+
+
+def test_no_misses_is_what_the_ground_truth_without_them_gives() -> None:
+    """Boxes that no threshold finds take part in nothing, so they can be left out and evaluated again."""
+    evaluation = evaluation_of(TRUTH, FOUND)
+    in_order = sorted(TRUTH, key=lambda box: box.image)
+    found = [box for box, mask in zip(in_order, evaluation.matches.matched_thresholds, strict=True) if mask]
+    assert len(found) < len(TRUTH)
+    oracle = next(oracle for oracle in diagnose(evaluation).oracles if oracle.name == "no_misses")
+    assert oracle.mds == pytest.approx(evaluation_of(found, FOUND).scores.mds, abs=1e-12)
 
 
 def test_the_protocol_paper_is_refused() -> None:
