@@ -126,22 +126,15 @@ def lint(rest: list[str]) -> int:
 
 
 def bench(rest: list[str]) -> int:
-    """Run the measurements in bench/, or those named."""
+    """Run the measurements in bench/, or those named; options go to each."""
     _install("test")
     _install_reference()
-    scripts = sorted(path for path in (ROOT / "bench").glob("*.py") if not path.name.startswith("_"))
-    named = [name for name in rest if not name.startswith("-")]
-    unknown = set(named) - {path.stem for path in scripts}
-    if unknown:
-        raise CannotContinueError(
-            f"No measurement {min(unknown)!r}; there are: {', '.join(path.stem for path in scripts)}."
-        )
-    options = [option for option in rest if option.startswith("-")]
+    scripts = {path.stem: path for path in sorted((ROOT / "bench").glob("[!_]*.py"))}
+    options = [part for part in rest if part not in scripts]
     status = 0
-    for script in scripts:
-        if not named or script.stem in named:
-            _section(f"bench: {script.stem}")
-            status |= _run([_python(), str(script), *options])
+    for name in [part for part in rest if part in scripts] or scripts:
+        _section(f"bench: {name}")
+        status |= _run([_python(), str(scripts[name]), *options])
     return status
 
 
@@ -156,8 +149,9 @@ def faults(rest: list[str]) -> int:
 def fuzz(rest: list[str]) -> int:
     """Fuzz for a bounded time."""
     _install("test")
+    _pip(VENV, "--require-hashes", "--no-deps", "-r", _lock_file("fuzz"))
     _section("fuzz")
-    return _hand_over([_python(), "-m", "pytest", "tests/fuzz", "-o", "python_files=*.py", *rest])
+    return _hand_over([_python(), "-m", "tests.fuzz.run", *rest])
 
 
 def docs(rest: list[str]) -> int:
@@ -251,7 +245,8 @@ def _read_stamp(stamp: Path) -> dict[str, str]:
 
 def _make_environment(environment: Path) -> None:
     """Make a virtual environment, or a new one when the present one does not run."""
-    if _version_of(str(_bin(environment) / "python")) >= OLDEST:
+    python = str(_bin(environment) / "python")
+    if _version_of(python) >= OLDEST and (_uv() or _imports(python, "pip")):
         return
     interpreter = _find_interpreter()
     if _version_of(interpreter) < OLDEST:
@@ -287,20 +282,19 @@ def _version_of(python: str) -> tuple[int, ...]:
 
 def _ensure_venv(interpreter: str) -> None:
     """Make sure the interpreter can make environments with pip; bare Debian splits that off."""
-    if _can_make_environments(interpreter):
+    if _imports(interpreter, "ensurepip"):
         return
     package = f"python{_dotted(_version_of(interpreter))}-venv"
-    if not _apt_install([package]) or not _can_make_environments(interpreter):
+    if not _apt_install([package]) or not _imports(interpreter, "ensurepip"):
         raise CannotContinueError(
             f"{interpreter} has no ensurepip, which makes environments. Install the package {package}"
             f" (Debian, Ubuntu: sudo apt-get install {package}) or put uv on PATH, then run this again."
         )
 
 
-def _can_make_environments(interpreter: str) -> bool:
-    """Tell whether `venv` with pip works."""
-    probe = subprocess.run([interpreter, "-c", "import ensurepip, venv"], capture_output=True, check=False)
-    return probe.returncode == 0
+def _imports(python: str, module: str) -> bool:
+    """Tell whether an interpreter has a module."""
+    return subprocess.run([python, "-c", f"import {module}"], capture_output=True, check=False).returncode == 0
 
 
 def _pip(environment: Path, *arguments: str) -> None:

@@ -21,6 +21,7 @@ SOURCES = {
     "test": ["pyproject.toml", "--extra", "server", "--extra", "test"],
     "build": ["requirements/build.in"],
     "docs": ["requirements/docs.in"],
+    "fuzz": ["requirements/fuzz.in"],
     # Without dependencies: the reference asks for a desktop toolkit that its evaluation does not use.
     "reference": ["requirements/reference.in", "--no-deps"],
 }
