@@ -1,0 +1,214 @@
+"""Cheap answers for those who ask again: a submission's status, rendered once, sent until something about it changes.
+
+Polling is most of what a benchmark server answers. An answer kept here is sent again only when the database says, at
+that moment, that everything it was made from is as it was: the token still opens the submission, and the submission,
+its phase and its scores are the same. However many clients ask at a time, one query finds that out for all of them;
+those who come while it runs share the next one, so nobody is shown less than what was committed when they asked.
+
+Everything else - no token, a first time, something changed, a query string, an error - goes the ordinary way.
+"""
+
+import asyncio
+import hashlib
+import time
+import uuid
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import sqlalchemy as sa
+import structlog
+from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from server import database
+from server.models import Membership, Phase, Score, Submission, Token, User
+from server.services import Services
+
+log = structlog.get_logger(__name__)
+
+MAX_ANSWERS = 2048
+MAX_ANSWER_BYTES = 16 << 10
+"""Larger answers, with long reports, are rendered every time: what is kept stays within 32 MiB."""
+MAX_AGE_S = 60.0
+"""The basis does not hold the names of methods and teams, so that a changed one shows after so long at the latest."""
+
+Basis = tuple[object, ...]
+"""What an answer was made from; equal again: the answer is still right."""
+
+Key = tuple[str, str]
+"""SHA-256 of a token, and the submission's id as the server writes it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """One rendered status for one token."""
+
+    basis: Basis
+    etag: str
+    full: Response
+    unchanged: Response
+    """The answer 304 for who holds this version already."""
+    made_s: float = field(default_factory=time.monotonic)
+
+
+@dataclass(slots=True)
+class _Question:
+    """One query for everybody who asks at about the same time."""
+
+    keys: set[Key] = field(default_factory=set)
+    bases: dict[Key, Basis] = field(default_factory=dict)
+    """Missing: the token opens nothing, or there is no such submission, or the database is away."""
+    answered: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Polls:
+    """The answers that one web process keeps."""
+
+    def __init__(self, services: Services) -> None:
+        """Ask the database of `services`."""
+        self._services = services
+        self._answers: dict[Key, Answer] = {}
+        self._next: _Question | None = None
+        self._asking: asyncio.Task[None] | None = None
+
+    def keep(self, key: Key, answer: Answer) -> None:
+        """Keep an answer, in the place of the oldest one when there are too many."""
+        self._answers.pop(key, None)
+        if len(answer.full.body) > MAX_ANSWER_BYTES:
+            return
+        while len(self._answers) >= MAX_ANSWERS:
+            del self._answers[next(iter(self._answers))]
+        self._answers[key] = answer
+
+    async def again(self, key: Key) -> Answer | None:
+        """Give the answer for a token and a submission once more; None when there is none that is still right."""
+        answer = self._answers.get(key)
+        if answer is None or time.monotonic() - answer.made_s > MAX_AGE_S:
+            return None
+        return answer if await self._basis(key) == answer.basis else None
+
+    async def _basis(self, key: Key) -> Basis | None:
+        if self._next is None:
+            self._next = _Question()
+        question = self._next
+        question.keys.add(key)
+        if self._asking is None:
+            self._asking = asyncio.create_task(self._ask())
+        await question.answered.wait()
+        return question.bases.get(key)
+
+    async def _ask(self) -> None:
+        """Ask one question after the other until nobody waits."""
+        try:
+            while self._next is not None:
+                question, self._next = self._next, None
+                try:
+                    question.bases = await run_in_threadpool(self._look, question.keys)
+                except Exception as error:  # noqa: BLE001 - whatever it is, the ordinary way meets it again and tells
+                    log.warning("poll_failed", error=repr(error))
+                finally:
+                    question.answered.set()
+        finally:
+            self._asking = None
+
+    def _look(self, keys: set[Key]) -> dict[Key, Basis]:
+        with self._services.snapshot() as session:
+            return bases_of(session, keys)
+
+
+def key_of(token: str, submission_id: str) -> Key:
+    """Name an answer without keeping the token's secret."""
+    return hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest(), submission_id
+
+
+def bases_of(session: Session, keys: Iterable[Key]) -> dict[Key, Basis]:
+    """Read what answers are made from, of all keys at once.
+
+    A key is missing from the result when its token is not good (`accounts.authenticate_token` says what that means)
+    or there is no such submission. A token that is good may still not open the submission: whether it does follows
+    from the basis, as it did when the answer was made.
+    """
+    pairs = [(digest, uuid.UUID(submission_id)) for digest, submission_id in keys]
+    tokens = _good_tokens(session, {digest for digest, _ in pairs})
+    submissions = _submissions(session, {submission_id for _, submission_id in pairs})
+    return {
+        (digest, str(submission_id)): (*tokens[digest], *submissions[submission_id])
+        for digest, submission_id in pairs
+        if digest in tokens and submission_id in submissions
+    }
+
+
+def _good_tokens(session: Session, digests: set[str]) -> dict[str, Basis]:
+    query = (
+        sa.select(Token.secret_sha256, Token.expires_at, Token.id, Token.team_id, User.id, User.is_maintainer)
+        .join(User, User.id == Token.user_id)
+        .join(Membership, (Membership.team_id == Token.team_id) & (Membership.user_id == Token.user_id))
+        .where(Token.secret_sha256.in_(digests), Token.revoked_at.is_(None), User.disabled_at.is_(None))
+    )
+    rows = session.execute(query).all()
+    at = database.now(session) if any(row.expires_at for row in rows) else None
+    good = [row for row in rows if at is None or row.expires_at is None or row.expires_at > at]
+    return {row.secret_sha256: tuple(row)[2:] for row in good}
+
+
+def _submissions(session: Session, submission_ids: set[uuid.UUID]) -> dict[uuid.UUID, Basis]:
+    newest_score = sa.select(sa.func.max(Score.id)).where(Score.submission_id == Submission.id).scalar_subquery()
+    query = (
+        sa.select(
+            Submission.id,
+            Submission.version,
+            Submission.state,
+            Submission.publication,
+            Submission.stage,
+            Submission.images_done,
+            Phase.protocol,
+            Phase.ground_truth_id,
+            newest_score,
+        )
+        .join(Phase, Phase.id == Submission.phase_id)
+        .where(Submission.id.in_(submission_ids))
+    )
+    return {row[0]: tuple(row)[1:] for row in session.execute(query)}
+
+
+class RepeatedPolls:
+    """Answers those who ask again before anything else is done; plain ASGI."""
+
+    def __init__(self, app: ASGIApp, polls: Polls, prefix: str) -> None:
+        """Look at GET requests for `<prefix><id>`; pass all others to `app`."""
+        self._app = app
+        self._polls = polls
+        self._prefix = prefix
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the kept answer, or pass the request on."""
+        response = await self._again(scope) if self._concerns(scope) else None
+        await (response or self._app)(scope, receive, send)
+
+    def _concerns(self, scope: Scope) -> bool:
+        return bool(
+            scope["type"] == "http"
+            and scope["method"] == "GET"
+            and scope["path"].startswith(self._prefix)
+            and not scope["query_string"]
+        )
+
+    async def _again(self, scope: Scope) -> Response | None:
+        headers = Headers(scope=scope)
+        kind, _, token = headers.get("authorization", "").partition(" ")
+        if kind.lower() != "bearer":
+            return None
+        answer = await self._polls.again(key_of(token.strip(), scope["path"][len(self._prefix) :]))
+        if answer is None:
+            return None
+        given = headers.get("if-none-match")
+        return answer.unchanged if given is not None and names_version(given, answer.etag) else answer.full
+
+
+def names_version(if_none_match: str, etag: str) -> bool:
+    """Tell whether If-None-Match names a version (RFC 9110, section 13.1.2)."""
+    known = {value.strip().removeprefix("W/") for value in if_none_match.split(",")}
+    return etag in known or "*" in known
