@@ -64,6 +64,7 @@ class Code(StrEnum):
     DUPLICATE_KEY = "duplicate_key"
     NUMBER_NOT_FINITE = "number_not_finite"
     NUMBER_TOO_LONG = "number_too_long"
+    NOT_EXPLAINED = "not_explained"
     # the predictions
     MISSING_KEY = "missing_key"
     WRONG_TYPE = "wrong_type"
@@ -207,6 +208,10 @@ MEANINGS: dict[Code, Meaning] = {
         "A number is NaN, infinite or too large for a float.", "Write finite numbers only; drop broken boxes."
     ),
     Code.NUMBER_TOO_LONG: _error("An integer has implausibly many digits.", "Write it as an ordinary number."),
+    Code.NOT_EXPLAINED: _error(
+        "There is something wrong with a file, and so much wrong before that it was not looked at closely.",
+        "Correct the other problems first.",
+    ),
     Code.MISSING_KEY: _error("A required key is missing.", "Add it as docs/submission_format.md shows."),
     Code.WRONG_TYPE: _error("A value has the wrong type.", "Write the type that docs/submission_format.md shows."),
     Code.WRONG_LENGTH: _error("An array has the wrong length.", "Write exactly as many numbers as expected."),

@@ -24,6 +24,8 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     """One member's name."""
     json_depth: int = 32
     """Arrays and objects inside each other; predictions need 5."""
+    explained_bytes: int = 256 * MIB
+    """Files that are looked at closely because something is wrong with them, together; the rest is only counted."""
     boxes_per_image: int = 1000
     """Boxes of all classes in one file."""
 

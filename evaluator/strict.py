@@ -41,6 +41,7 @@ class StrictReading:
         }
         self._left_out = dict.fromkeys(sorted(self.known_labels - set(labels)), 0)
         self._explained: set[int] = set()
+        self._explained_bytes = 0
         self.boxes = 0
         self.images, self.assigned = assign_files(files.names, images, findings)
         if not self.assigned and Code.UNKNOWN_IMAGE not in findings:
@@ -86,6 +87,10 @@ class StrictReading:
         if number in self._explained:
             return
         self._explained.add(number)
+        self._explained_bytes += len(data)
+        if self._explained_bytes > self._limits.explained_bytes:
+            self._findings.add(Code.NOT_EXPLAINED, file=self._files.names[number])
+            return
         explain(
             data,
             file=self._files.names[number],

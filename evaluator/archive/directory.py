@@ -17,7 +17,7 @@ _EXTRA_FIELD = struct.Struct("<HH")  # 4.5.1
 _ZIP64_EXTRA = 0x0001
 _SATURATED_16 = 0xFFFF
 _SATURATED_32 = 0xFFFFFFFF
-_FLAG_UTF8 = 0x0800
+FLAG_UTF8 = 0x0800
 
 
 class Entry(NamedTuple):
@@ -88,7 +88,7 @@ def _decode_name(raw_name: bytes, flags: int) -> str | None:
     try:
         return raw_name.decode("utf-8")
     except UnicodeDecodeError:
-        return None if flags & _FLAG_UTF8 else raw_name.decode("cp437")
+        return None if flags & FLAG_UTF8 else raw_name.decode("cp437")
 
 
 def widen(extra: bytes, values: tuple[int, ...]) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ members, and headers that contradict each other. Section numbers refer to PKWARE
 import struct
 from typing import NamedTuple
 
-from evaluator.archive.directory import Entry, read_directory, widen
+from evaluator.archive.directory import FLAG_UTF8, Entry, read_directory, widen
 from evaluator.archive.end_record import Archive, Directory, find_directory
 from evaluator.archive.framing_error import FramingError
 from evaluator.archive.names import check_names
@@ -171,6 +171,8 @@ def _compare(entry: Entry, *, flags: int, method: int, stated: tuple[int, int, i
         raise FramingError(Code.LOCAL_HEADER_MISMATCH, f"method {method} here, {entry.method} in the directory")
     if (flags ^ entry.flags) & _FLAG_ENCRYPTED:
         raise FramingError(Code.LOCAL_HEADER_MISMATCH, "only one of the headers says that it is encrypted")
+    if (flags ^ entry.flags) & FLAG_UTF8 and not entry.raw_name.isascii():
+        raise FramingError(Code.LOCAL_HEADER_MISMATCH, "only one of the headers says that the name is UTF-8")
     late = bool(flags & _FLAG_DESCRIPTOR)
     for here, there in zip(stated, expected, strict=True):
         if here != there and not (late and here == 0):

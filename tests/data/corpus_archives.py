@@ -290,6 +290,11 @@ def _false_headers() -> Iterator[Case]:
     yield "local_size_differs", "local_header_mismatch", _changed(local_sizes=(sizes[0], sizes[1], 3))
     yield "local_packed_differs", "local_header_mismatch", _changed(local_sizes=(sizes[0], 3, sizes[2]))
     yield "local_only_encrypted", "local_header_mismatch", _changed(local_flags=1)
+    yield (
+        "local_utf8_differs",
+        "local_header_mismatch",
+        _changed(name="ü/".encode("cp437") + SECOND.name, local_flags=UTF8),
+    )
     good, at = write_zip(PAIR), len(FIRST.local())
     yield "local_header_overwritten", "local_header_mismatch", good[:at] + b"PK\x03\x05" + good[at + 4 :]
     descriptor = with_descriptor(SECOND)

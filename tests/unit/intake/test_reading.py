@@ -253,6 +253,18 @@ def test_every_limit_is_held(tmp_path: Path, limits: Limits, code: str) -> None:
         assert code in _codes(read_predictions(folder, images=_images(*IMAGES), limits=limits))
 
 
+def test_explaining_ends_at_its_limit(tmp_path: Path) -> None:
+    """Beyond the limit files that are wrong are only counted, so that nobody can buy hours of explanations."""
+    for name in IMAGES:
+        (tmp_path / f"{name}_pred.json").write_bytes(document(box(score="2")))
+    limits = Limits(explained_bytes=len(document(box(score="2"))))
+    intake = read_predictions(tmp_path, images=_images(*IMAGES), limits=limits)
+    assert {code: count for code, count in _codes(intake).items() if code != "scores_in_percent"} == {
+        "score_out_of_range": 1,
+        "not_explained": 1,
+    }
+
+
 def test_quick_check_needs_no_inflating(tmp_path: Path) -> None:
     """The framing check passes damaged data by and finds false headers."""
     path = tmp_path / "pred.zip"

@@ -1,0 +1,45 @@
+import html
+import re
+from pathlib import Path
+
+from evaluator.codes import MEANINGS, Code
+from evaluator.intake import read_predictions
+from evaluator.limits import DEFAULT_LIMITS, MIB
+from tests.data.corpus_predictions import IMAGE
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def test_every_code_is_documented_and_no_other() -> None:
+    """docs/errors.md lists each code under its severity with the title and fix of the enum."""
+    text = html.unescape((DOCS / "errors.md").read_text(encoding="utf-8"))
+    found = {}
+    for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
+        severity = section.split("\n", 1)[0].lower().removesuffix("s")
+        for code, title, fix in re.findall(r"^\| `(\w+)` \| (.*) \| (.*) \|$", section, flags=re.MULTILINE):
+            found[code] = (severity, title, fix)
+    assert found == {code.value: (MEANINGS[code].severity, MEANINGS[code].title, MEANINGS[code].fix) for code in Code}
+
+
+def test_limits_are_documented() -> None:
+    """docs/submission_format.md states the default limits."""
+    text = (DOCS / "submission_format.md").read_text(encoding="utf-8")
+    for row in (
+        f"| archive | {DEFAULT_LIMITS.archive_bytes // MIB} MiB |",
+        f"| all files unpacked | {DEFAULT_LIMITS.expanded_bytes // MIB // 1024} GiB |",
+        f"| one file unpacked | {DEFAULT_LIMITS.file_bytes // MIB} MiB |",
+        f"| unpacked size over packed size, above {DEFAULT_LIMITS.ratio_floor_bytes // MIB} MiB | {DEFAULT_LIMITS.ratio} |",
+        f"| members | {DEFAULT_LIMITS.entries:,} |",
+        f"| boxes in one image | {DEFAULT_LIMITS.boxes_per_image:,} |",
+        f"| nesting of JSON | {DEFAULT_LIMITS.json_depth} levels |",
+        f"| files with problems that are explained place by place, together | {DEFAULT_LIMITS.explained_bytes // MIB} MiB |",
+    ):
+        assert row in text
+
+
+def test_example_of_the_docs_is_valid(tmp_path: Path) -> None:
+    """The file shown in docs/submission_format.md passes."""
+    text = (DOCS / "submission_format.md").read_text(encoding="utf-8")
+    example = text.split("```json\n")[1].split("```")[0]
+    (tmp_path / f"{IMAGE}_pred.json").write_text(example, encoding="utf-8")
+    assert read_predictions(tmp_path, images=None).report.groups == ()
