@@ -9,6 +9,7 @@
     ├── Conflict               409  conflict
     │   ├── PhaseClosed        409  phase_closed
     │   ├── NotScored          409  not_scored
+    │   ├── Held               409  held_for_review
     │   ├── IllegalTransition  409  illegal_transition
     │   └── LeaseLost          409  lease_lost          a worker's write came too late; never leaves the worker
     ├── QuotaExceeded          429  quota_exceeded
@@ -78,6 +79,12 @@ class NotScored(Conflict):
     """The submission has no scores (yet)."""
 
     code = "not_scored"
+
+
+class Held(Conflict):
+    """The submission waits for a maintainer's look at its integrity audit before it may be published."""
+
+    code = "held_for_review"
 
 
 class IllegalTransition(Conflict):

@@ -18,8 +18,9 @@ from typing import Any, cast
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
+from evaluator.integrity import IntegrityAudit
 from evaluator.results import Scores
-from server import audit, database, quota, ranking
+from server import audit, database, integrity, quota, ranking
 from server.errors import IllegalTransition, LeaseLost
 from server.models import Attempt, AttemptOutcome, Score, Submission, SubmissionState
 
@@ -72,6 +73,7 @@ class Result:
     scores: Scores
     scores_sha256: str
     statistics_sha256: str | None
+    integrity: IntegrityAudit
 
 
 def claim(session: Session, submission_id: uuid.UUID, *, worker: str, lease_s: float) -> Claim | None:
@@ -178,6 +180,7 @@ def record_score(session: Session, held: Claim, result: Result) -> Score:
         statistics_sha256=result.statistics_sha256,
         created_at=database.now(session),
     )
+    integrity.keep(session, submission, score, result.integrity)
     session.add(score)
     session.flush()
     _end_attempt(session, submission, AttemptOutcome.SCORED)

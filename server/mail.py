@@ -36,6 +36,28 @@ def tell_of_failure(services: Services, submission_id: uuid.UUID) -> bool:
     return send(settings, to=settings.maintainers_email, subject=subject, text=text)
 
 
+def tell_of_hold(services: Services, submission_id: uuid.UUID) -> bool:
+    """Tell the maintainers that a submission waits for their look; nothing when it is not held.
+
+    Returns:
+        False when no mail was sent.
+    """
+    settings = services.settings
+    if not (settings.smtp_host and settings.maintainers_email):
+        return False
+    with services.snapshot() as session:
+        submission = submissions.find(session, submission_id)
+        if submission.held_reason is None:
+            return False
+        place = f"{submission.phase.benchmark.slug}/{submission.phase.slug}"
+        text = (
+            f"Submission {submission.id} of team {submission.team.slug} to {place} cannot be published before you look"
+            f" at it.\n\n{submission.held_reason}\n\n{settings.public_url.rstrip('/')}/submissions/{submission.id}\n"
+            f"To let it be published: cs3d-admin release {submission.id}\n"
+        )
+    return send(settings, to=settings.maintainers_email, subject=f"[cs3d] submission to {place} held", text=text)
+
+
 def send(settings: Settings, *, to: str, subject: str, text: str) -> bool:
     """Send one mail.
 

@@ -340,6 +340,8 @@ class Submission(Base):
 
     publication: Mapped[Publication] = mapped_column(_enum(Publication, "publication"), default=Publication.PRIVATE)
     published_at: Mapped[datetime | None]
+    held_reason: Mapped[str | None]
+    """Why a maintainer must look before it may be published; None: there is no reason, or it was released."""
 
     phase: Mapped[Phase] = relationship()
     method: Mapped[Method] = relationship()
@@ -362,6 +364,7 @@ class Submission(Base):
             postgresql_where=sa.text("publication = 'published'"),
         ),
         sa.CheckConstraint("publication <> 'published' OR state = 'scored'", name="published_is_scored"),
+        sa.CheckConstraint("publication <> 'published' OR held_reason IS NULL", name="published_is_not_held"),
         sa.CheckConstraint("(publication = 'private') = (published_at IS NULL)", name="published_at_matches"),
         sa.CheckConstraint("state <> 'scoring' OR lease_expires_at IS NOT NULL", name="scoring_has_lease"),
         sa.CheckConstraint(
@@ -457,6 +460,8 @@ class Score(Base):
     """The whole `evaluator.results.Scores` as JSON."""
     statistics_sha256: Mapped[str | None] = mapped_column(sa.ForeignKey(Blob.sha256))
     """Per-image statistics, for uncertainty and diagnosis. Never leaves the worker's side."""
+    integrity: Mapped[dict[str, Any] | None]
+    """The `evaluator.integrity.IntegrityAudit`: for the team and the maintainers only."""
     created_at: Mapped[datetime]
 
     submission: Mapped[Submission] = relationship(back_populates="scores")

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session, joinedload, object_session
 from server import audit, database, lifecycle, quota
 from server.accounts import checked_slug, checked_text, is_member
 from server.blobs import Blobs, record_blob
-from server.errors import Conflict, Forbidden, NotFound, NotScored, PhaseClosed
+from server.errors import Conflict, Forbidden, Held, NotFound, NotScored, PhaseClosed
 from server.models import Method, Phase, Publication, Submission, SubmissionState, Team, User
 
 
@@ -207,6 +207,7 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     Raises:
         NotScored: It has no scores (yet).
         Forbidden: The phase does not allow it.
+        Held: A maintainer must release it first.
     """
     # Two submissions of one method published at once queue up at the team's row, so that the later one wins.
     quota.lock_team(session, submission.team_id)
@@ -217,6 +218,9 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     if not submission.phase.allows_publication:
         message = f"phase {submission.phase.slug} has no leaderboard; its scores stay with their team"
         raise Forbidden(message)
+    if submission.held_reason is not None:
+        message = f"a maintainer looks at this submission before it may be published: {submission.held_reason}"
+        raise Held(message)
     if submission.publication is Publication.PUBLISHED:
         return
     shown = sa.select(Submission).where(

@@ -42,7 +42,7 @@ class Job(msgspec.Struct, frozen=True, kw_only=True):
     ground_truth_sha256: str
     protocol: str
     folder: str
-    """Where `report.json`, `scores.json` and `statistics` are written."""
+    """Where `report.json`, `scores.json`, `integrity.json` and `statistics` are written."""
     memory_bytes: int
     time_s: float
 
@@ -70,7 +70,7 @@ class Rejected(msgspec.Struct, frozen=True, tag="rejected"):
 
 
 class Scored(msgspec.Struct, frozen=True, tag="scored"):
-    """Scores and statistics are written."""
+    """Scores, statistics and integrity audit are written."""
 
 
 class Broken(msgspec.Struct, frozen=True, tag="broken"):
@@ -103,7 +103,8 @@ def main() -> None:
 def _load_evaluator() -> None:
     """Import once what every job needs."""
     import evaluator.evaluation  # noqa: PLC0415 - after the network is gone, which needs a process without threads
-    import evaluator.intake  # noqa: PLC0415, F401
+    import evaluator.intake  # noqa: PLC0415
+    import evaluator.integrity  # noqa: PLC0415, F401
 
 
 def _run_in_child(job: Job) -> int:
@@ -167,6 +168,7 @@ def _evaluate(job: Job, send: Callable[[Event], None]) -> None:
     from evaluator.evaluation import evaluate  # noqa: PLC0415 - loaded by `_load_evaluator`
     from evaluator.ground_truth import GroundTruth, ImageList  # noqa: PLC0415
     from evaluator.intake import read_predictions  # noqa: PLC0415
+    from evaluator.integrity import audit  # noqa: PLC0415
     from evaluator.protocol import PROTOCOLS  # noqa: PLC0415
 
     folder = Path(job.folder)
@@ -188,6 +190,7 @@ def _evaluate(job: Job, send: Callable[[Event], None]) -> None:
     )
     (folder / "scores.json").write_bytes(msgspec.json.encode(evaluation.scores))
     (folder / "statistics").write_bytes(evaluation.statistics.to_bytes())
+    (folder / "integrity.json").write_bytes(msgspec.json.encode(audit(evaluation)))
     send(Scored())
 
 

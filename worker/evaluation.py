@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
-import sqlalchemy as sa
 import structlog
 from celery.exceptions import SoftTimeLimitExceeded
 from sqlalchemy.orm import Session
 
+from evaluator.integrity import IntegrityAudit
 from evaluator.results import Scores
 from server import lifecycle, mail
 from server.blobs import record_blob
-from server.errors import LeaseLost, NotFound, ServerError
+from server.errors import LeaseLost, NotFound, ServerError, Unavailable
 from server.lifecycle import Claim, Result
 from server.models import SubmissionState
 from server.services import Services
@@ -31,19 +31,14 @@ from worker.sandbox import Sandbox, SandboxError
 
 log = structlog.get_logger(__name__)
 
-DATABASE_AWAY = (sa.exc.OperationalError, sa.exc.InterfaceError)
-"""What a database that is down, restarting or locked for too long raises."""
-
 RETRY_INTERVAL_S = 0.5
 """Between tries to write to a database that is away."""
 
 
 def evaluate_submission(services: Services, sandbox: Sandbox, submission_id: uuid.UUID, *, worker: str) -> None:
     """Do everything a waiting submission needs. Anything else than a waiting submission: nothing."""
-    with services.transaction() as session:
-        held = lifecycle.claim(session, submission_id, worker=worker, lease_s=services.settings.lease_s)
+    held = _claim(services, submission_id, worker)
     if held is None:
-        log.info("nothing_to_do", submission_id=str(submission_id))
         return
     attempt = _Attempt(services, held)
     try:
@@ -54,11 +49,24 @@ def evaluate_submission(services: Services, sandbox: Sandbox, submission_id: uui
         attempt.fail("blob_missing", str(error))
     except SoftTimeLimitExceeded:
         attempt.lose("time_limit", "the worker's own time limit was reached")
-    except (ServerError, SandboxError, *DATABASE_AWAY, OSError) as error:
+    except (ServerError, SandboxError, OSError) as error:
         log.warning("given_back", submission_id=str(submission_id), error=repr(error))
         attempt.give_back(f"the worker lacked what it needs: {type(error).__name__}")
     finally:
         shutil.rmtree(attempt.folder, ignore_errors=True)
+
+
+def _claim(services: Services, submission_id: uuid.UUID, worker: str) -> Claim | None:
+    """Take the submission; a database that is away leaves it to the sweeper's next message."""
+    try:
+        with services.transaction() as session:
+            held = lifecycle.claim(session, submission_id, worker=worker, lease_s=services.settings.lease_s)
+    except Unavailable as error:
+        log.warning("not_claimed", submission_id=str(submission_id), error=str(error))
+        return None
+    if held is None:
+        log.info("nothing_to_do", submission_id=str(submission_id))
+    return held
 
 
 @dataclass(slots=True)
@@ -123,7 +131,7 @@ class _Attempt:
         try:
             with self.services.transaction() as session:
                 lifecycle.heartbeat(session, self.held, stage=now.stage, images_done=now.done, images_total=now.total)
-        except DATABASE_AWAY as error:
+        except Unavailable as error:
             log.warning("heartbeat_failed", error=repr(error))
 
     def _validated(self) -> None:
@@ -148,7 +156,12 @@ class _Attempt:
     def _scored(self) -> None:
         scores = msgspec.json.decode((self.folder / "scores.json").read_bytes(), type=Scores)
         kept = {name: self._keep(name) for name in ("scores.json", "statistics")}
-        result = Result(scores=scores, scores_sha256=kept["scores.json"][0], statistics_sha256=kept["statistics"][0])
+        result = Result(
+            scores=scores,
+            scores_sha256=kept["scores.json"][0],
+            statistics_sha256=kept["statistics"][0],
+            integrity=msgspec.json.decode((self.folder / "integrity.json").read_bytes(), type=IntegrityAudit),
+        )
 
         def write(session: Session) -> None:
             for sha256, size_bytes in kept.values():
@@ -156,6 +169,7 @@ class _Attempt:
             lifecycle.record_score(session, self.held, result)
 
         self._conclude(write)
+        mail.tell_of_hold(self.services, self.held.submission_id)
 
     def _keep(self, name: str) -> tuple[str, int]:
         """Put a result into the blob store and return its digest and size; a second call finds nothing to do."""
@@ -164,14 +178,14 @@ class _Attempt:
 
     def fail(self, code: str, detail: str) -> None:
         """End the submission as failed and tell the maintainers."""
-        with _lost_lease_is_fine():
+        with _end_is_written_elsewhere():
             self._conclude(lambda session: lifecycle.fail(session, self.held, code=code, detail=detail))
             mail.tell_of_failure(self.services, self.held.submission_id)
 
     def lose(self, code: str, detail: str) -> None:
         """Count the attempt as lost; the submission is tried again at once, or fails at the phase's cap."""
         states: list[SubmissionState] = []
-        with _lost_lease_is_fine():
+        with _end_is_written_elsewhere():
             self._conclude(lambda session: states.append(lifecycle.lose(session, self.held, code=code, detail=detail)))
         if states and states[-1] is SubmissionState.FAILED:
             mail.tell_of_failure(self.services, self.held.submission_id)
@@ -180,7 +194,7 @@ class _Attempt:
 
     def give_back(self, detail: str) -> None:
         """Let the submission wait again; the sweeper sends it once more after a while, which spares what is ailing."""
-        with _lost_lease_is_fine():
+        with _end_is_written_elsewhere():
             self._conclude(lambda session: lifecycle.give_back(session, self.held, detail=detail))
 
     def _conclude(self, write: Callable[[Session], object]) -> None:
@@ -197,7 +211,7 @@ class _Attempt:
             try:
                 with self.services.transaction() as session:
                     write(session)
-            except DATABASE_AWAY as error:
+            except Unavailable as error:
                 if time.monotonic() > patience_s:
                     raise
                 log.warning("write_failed", error=repr(error))
@@ -207,12 +221,12 @@ class _Attempt:
 
 
 @contextmanager
-def _lost_lease_is_fine() -> Iterator[None]:
-    """Somebody else took the submission: then its end is theirs to write."""
+def _end_is_written_elsewhere() -> Iterator[None]:
+    """Somebody else has the submission, or will have it when the lease runs out: then its end is theirs to write."""
     try:
         yield
-    except LeaseLost as error:
-        log.warning("lease_lost", detail=str(error))
+    except (LeaseLost, Unavailable) as error:
+        log.warning(error.code, detail=str(error))
 
 
 def _cause_of(status: int, services: Services) -> tuple[str, str]:

@@ -215,12 +215,14 @@ def upgrade() -> None:
             "publication", sa.Enum("private", "published", "withdrawn", name="publication", **ENUM), nullable=False
         ),
         sa.Column("published_at", TIME, nullable=True),
+        sa.Column("held_reason", sa.Text(), nullable=True),
         sa.CheckConstraint("(publication = 'private') = (published_at IS NULL)", name="published_at_matches"),
         sa.CheckConstraint("(state = 'failed') = (failure_code IS NOT NULL)", name="failure_code_matches"),
         sa.CheckConstraint(
             "lease_expires_at IS NULL OR state IN ('received', 'scoring')",
             name="lease_only_while_worked_on",
         ),
+        sa.CheckConstraint("publication <> 'published' OR held_reason IS NULL", name="published_is_not_held"),
         sa.CheckConstraint("publication <> 'published' OR state = 'scored'", name="published_is_scored"),
         sa.CheckConstraint("state <> 'scoring' OR lease_expires_at IS NOT NULL", name="scoring_has_lease"),
         sa.CheckConstraint("state NOT IN ('rejected', 'scored') OR report_sha256 IS NOT NULL", name="report_kept"),
@@ -301,6 +303,7 @@ def upgrade() -> None:
         sa.Column("summary", sa.JSON(), nullable=False),
         sa.Column("scores_sha256", sa.String(length=64), nullable=False),
         sa.Column("statistics_sha256", sa.String(length=64), nullable=True),
+        sa.Column("integrity", sa.JSON(), nullable=True),
         sa.Column("created_at", TIME, nullable=False),
         sa.ForeignKeyConstraint(["ground_truth_id"], ["ground_truth.id"], name="fk_score_ground_truth_id"),
         sa.ForeignKeyConstraint(["scores_sha256"], ["blob.sha256"], name="fk_score_scores_sha256"),

@@ -1,0 +1,68 @@
+"""Holds a score back from ranking until a maintainer has looked, when the integrity audit gives a reason.
+
+The audit itself is the evaluator's (`evaluator/integrity.py`); here it meets the other submissions and the record.
+"""
+
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from evaluator.fingerprint import similarity
+from evaluator.integrity import SIMILARITY_LIMIT, IntegrityAudit
+from server import audit
+from server.models import Score, Submission
+
+COPIED = "The predictions are nearly identical to a submission of another team."
+
+
+def keep(session: Session, submission: Submission, score: Score, findings: IntegrityAudit) -> None:
+    """Keep the audit with its score, and hold the submission when there is a reason to."""
+    score.integrity = msgspec.to_builtins(findings)
+    twin = _twin(session, submission, findings.fingerprint)
+    reasons = [*findings.reasons, *([COPIED] if twin else [])]
+    if not reasons:
+        return
+    submission.held_reason = " ".join(reasons)
+    audit.record(
+        session,
+        actor="integrity",
+        action="submission.held",
+        subject=audit.subject_of(submission),
+        reasons=reasons,
+        # For the maintainers, who alone read the trail: whose work it resembles is not the team's to know.
+        resembles=str(twin.submission_id) if twin else None,
+    )
+
+
+def release(session: Session, submission: Submission, actor: str) -> None:
+    """Let a held submission be published after all; nothing happens when it is not held."""
+    if submission.held_reason is None:
+        return
+    reason, submission.held_reason = submission.held_reason, None
+    submission.version += 1
+    session.flush()
+    audit.record(
+        session, actor=actor, action="submission.released", subject=audit.subject_of(submission), reason=reason
+    )
+
+
+def _twin(session: Session, submission: Submission, fingerprint: str) -> Score | None:
+    """Find the first score of another team in the same phase whose predictions are nearly the same."""
+    query = (
+        sa.select(Score)
+        .join(Score.submission)
+        .where(
+            Submission.phase_id == submission.phase_id,
+            Submission.team_id != submission.team_id,
+            Score.integrity.is_not(None),
+        )
+        .order_by(Score.id)
+    )
+    return next(
+        (
+            other
+            for other in session.scalars(query)
+            if other.integrity and similarity(fingerprint, other.integrity["fingerprint"]) > SIMILARITY_LIMIT
+        ),
+        None,
+    )
