@@ -21,6 +21,7 @@ from evaluator.overlap import corners_px, covered_fractions, intersections_over_
 from evaluator.predictions import Float64Array, IndexArray, Predictions
 from evaluator.projection import projected_corners_px
 from evaluator.protocol import Protocol
+from evaluator.rounding import ROUNDING, Pairs, settled, through_width_and_height
 from evaluator.thresholds import MaskArray, active_masks, score_thresholds
 
 
@@ -109,18 +110,30 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
         raise UsageError("Ground truth and predictions must list the same images in the same order.")
     groups = groups_of(ground_truth, predictions, protocol)
     gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, protocol, np.isin(groups[1], groups[0]))
-    rows: list[tuple[RowArray, RowArray, Float64Array]] = []
-    for gt_row, prediction_row in pairs_within_groups(*groups):
-        touching = _touches(gt_boxes, prediction_boxes, gt_row, prediction_row)
-        gt_row, prediction_row = gt_row[touching], prediction_row[touching]  # noqa: PLW2901 - narrowed step by step
+    pairs = _overlapping_pairs(groups, gt_boxes, prediction_boxes, max(protocol.min_iou - ROUNDING, 0.0))
+    if not protocol.modal:
+        pairs = settled(pairs, protocol.min_iou, gt_boxes, ground_truth, predictions)
+    pairs = pairs[pairs.iou > protocol.min_iou]
+    best_first = np.argsort(-pairs.iou, kind="stable")
+    return Edges(pairs.gt_row[best_first], pairs.prediction_row[best_first])
+
+
+def _overlapping_pairs(
+    groups: tuple[RowArray, RowArray], gt_boxes: Float64Array, prediction_boxes: Float64Array, above_iou: float
+) -> Pairs:
+    """Return all pairs within groups whose IoU is above a value, ordered by ground truth, then prediction."""
+    found = [Pairs(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
+    for rows in pairs_within_groups(*groups):
+        touching = _touches(gt_boxes, prediction_boxes, *rows)
+        gt_row, prediction_row = rows[0][touching], rows[1][touching]
         iou = intersections_over_unions(gt_boxes[:, gt_row], prediction_boxes[:, prediction_row])
-        above = iou > protocol.min_iou
-        rows.append((gt_row[above], prediction_row[above], iou[above]))
-    if not rows:
-        return Edges(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
-    gt_row, prediction_row, iou = (np.concatenate(column) for column in zip(*rows, strict=True))
-    best_first = np.argsort(-iou, kind="stable")
-    return Edges(gt_row[best_first], prediction_row[best_first])
+        pairs = Pairs(gt_row, prediction_row, iou)
+        found.append(pairs[iou > above_iou])
+    return Pairs(
+        np.concatenate([part.gt_row for part in found]),
+        np.concatenate([part.prediction_row for part in found]),
+        np.concatenate([part.iou for part in found]),
+    )
 
 
 def _boxes_to_match(
@@ -130,7 +143,7 @@ def _boxes_to_match(
     if protocol.modal:
         return corners_px(ground_truth.modal_px), corners_px(predictions.modal_px)
     boxes = np.zeros((4, len(predictions)))
-    x_min, y_min, x_max, y_max = projected_corners_px(
+    projected = projected_corners_px(
         predictions.center_m[wanted],
         predictions.dimensions_m[wanted],
         predictions.rotation[wanted],
@@ -138,8 +151,7 @@ def _boxes_to_match(
         sensor_from_vehicle=ground_truth.sensor_from_vehicle,
         camera_index=predictions.image_index[wanted],
     )
-    # The reference keeps boxes as x, y, width, height in between; the rounding of that way back decides ties.
-    boxes[:, wanted] = x_min, y_min, x_min + (x_max - x_min), y_min + (y_max - y_min)
+    boxes[:, wanted] = through_width_and_height(projected)
     return corners_px(ground_truth.amodal_px), boxes
 
 

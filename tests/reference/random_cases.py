@@ -65,6 +65,7 @@ def _image(rng: np.random.Generator, labels: list[str]) -> tuple[dict[str, Any],
     predictions = [_prediction(rng, item, labels) for item in truth for _ in range(int(rng.integers(0, 4)))]
     predictions += [_prediction(rng, _true_object(rng, labels, sensor), labels) for _ in range(int(rng.integers(0, 5)))]
     predictions += [json.loads(json.dumps(item)) for item in predictions if rng.random() < 0.15]
+    predictions += [_described_otherwise(rng, item) for item in predictions if rng.random() < 0.15]
     rng.shuffle(predictions)
     regions = [{"2d": _region(rng, predictions), "label": "vehicle"} for _ in range(int(rng.integers(0, 4)))]
     gt = {"imgWidth": 2048, "imgHeight": 1024, "sensor": sensor, "objects": truth, "ignore": regions}
@@ -166,6 +167,13 @@ def _prediction(rng: np.random.Generator, item: dict[str, Any], labels: list[str
         "label": item["label"] if rng.random() < 0.9 else str(rng.choice(labels)),
         "score": _score(rng),
     }
+
+
+def _described_otherwise(rng: np.random.Generator, item: dict[str, Any]) -> dict[str, Any]:
+    """Describe the same shape with other numbers: turned by 180 degrees, or with a quaternion of another length."""
+    w, x, y, z = item["3d"]["rotation"]
+    rotation = [-z, y, -x, w] if rng.random() < 0.5 else [3 * w, 3 * x, 3 * y, 3 * z]
+    return {**item, "3d": {**item["3d"], "rotation": rotation}, "score": _score(rng)}
 
 
 def _score(rng: np.random.Generator) -> float:

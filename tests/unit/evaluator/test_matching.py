@@ -1,5 +1,7 @@
 """The greedy matching, at all score thresholds at once, on cases small enough for pencil and paper."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -7,9 +9,12 @@ import pytest
 from evaluator.errors import UsageError
 from evaluator.matching import Edges, Matches, match, take_edges
 from evaluator.overlap import corners_px, covered_fractions, intersections_over_unions
+from evaluator.paper_matching import projected_boxes
+from evaluator.projection_to_the_bit import projected_to_the_bit_px
 from evaluator.protocol import CITYSCAPES3D
+from evaluator.rounding import Pairs, settled
 from evaluator.thresholds import active_masks, count_by_group, prefix_masks, score_thresholds, unpacked
-from tests.array_factories import Box, make_ground_truth, make_predictions
+from tests.array_factories import Box, annotated, make_ground_truth, make_predictions
 
 MODAL = msgspec.structs.replace(CITYSCAPES3D, modal=True)
 """Matching the boxes as they are written, so that the cases can be drawn in pixels."""
@@ -167,3 +172,32 @@ def test_too_many_thresholds_are_refused() -> None:
     """More than 63 do not fit a mask."""
     with pytest.raises(UsageError, match="score_steps"):
         score_thresholds(msgspec.structs.replace(CITYSCAPES3D, score_steps=200))
+
+
+def test_projection_to_the_bit_agrees_with_the_fast_one() -> None:
+    """Boxes ahead, around and behind the camera: the same corners to 1e-9 px."""
+    truth = make_ground_truth(
+        [Box(center=(x, y, 0.8), yaw=yaw) for x in (-20.0, 0.5, 12.0, 60.0) for y in (-5.0, 1.0) for yaw in (0.0, 0.7)]
+    )
+
+    fast = projected_boxes(truth, truth)
+    exact = [
+        projected_to_the_bit_px(c, d, r, truth.intrinsics_px[0], truth.sensor_from_vehicle[0])
+        for c, d, r in zip(truth.center_m, truth.dimensions_m, truth.rotation, strict=True)
+    ]
+
+    assert np.clip(fast, 0, [[2047], [1023], [2047], [1023]]).T == pytest.approx(np.array(exact), abs=1e-8)
+
+
+def test_boxes_that_differ_by_rounding_alone_are_ordered_as_in_the_reference() -> None:
+    """Twice one shape, once turned by 180 degrees: both are found to hang on rounding and projected to the bit."""
+    box = annotated([Box(center=(20.3, 1.7, 0.8), yaw=0.3)])[0]
+    truth, predictions = make_ground_truth([box]), make_predictions([box, replace(box, yaw=0.3 + np.pi)])
+    corners = corners_px(truth.amodal_px)
+    pairs = Pairs(np.zeros(2, dtype=np.int64), np.arange(2), np.array([1.0, 1.0 + 1e-13]))
+
+    exact = settled(pairs, 0.7, corners, truth, predictions)
+
+    assert exact.iou == pytest.approx([1, 1], abs=1e-6)
+    assert exact.iou.tolist() != pairs.iou.tolist()
+    assert settled(pairs[np.array([0])], 0.7, corners, truth, predictions).iou.tolist() == [1.0]
