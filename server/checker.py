@@ -102,9 +102,8 @@ def states_follow_the_trail(services: Services, session: Session) -> Found:
     """The audit trail of every submission is a legal path that ends in its state."""
     del services
     trails: dict[str, list[str]] = defaultdict(list)
-    for event in session.scalars(
-        sa.select(AuditEvent).where(AuditEvent.action.startswith("submission.")).order_by(AuditEvent.id)
-    ):
+    changes = [f"submission.{state}" for state in SubmissionState]
+    for event in session.scalars(sa.select(AuditEvent).where(AuditEvent.action.in_(changes)).order_by(AuditEvent.id)):
         trails[event.subject].append(event.action.removeprefix("submission."))
     for submission in session.scalars(sa.select(Submission)):
         subject = f"submission:{submission.id}"

@@ -5,15 +5,22 @@ commits: `Services.transaction` does, at the edge. Reads that change nothing use
 write lock and sees one consistent state.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
+import structlog
 from sqlalchemy.orm import Session
+
+from server.errors import StorageFull, Unavailable
 
 if TYPE_CHECKING:
     import alembic.config  # loaded below only where it is used: a third of a second that no worker should wait
+
+log = structlog.get_logger(__name__)
 
 BUSY_TIMEOUT_S = 30
 """How long a SQLite writer waits for another; far beyond any transaction of ours."""
@@ -82,6 +89,18 @@ def snapshot_engine(engine: sa.Engine) -> sa.Engine:
     if engine.dialect.name == "sqlite":
         return engine.execution_options(**{READ_ONLY: True})
     return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+
+
+@contextmanager
+def outages_are_said() -> Iterator[None]:
+    """Turn what a database that is down, restarting, locked for too long or full raises into our errors."""
+    try:
+        yield
+    except (sa.exc.OperationalError, sa.exc.InterfaceError, sa.exc.TimeoutError) as error:
+        if "full" in str(error).lower() and "disk" in str(error).lower():
+            raise StorageFull("the database has no room left; the maintainers are needed") from error
+        log.warning("database_away", error=repr(error))
+        raise Unavailable("the database does not answer; try again in a moment") from error
 
 
 def now(session: Session) -> datetime:

@@ -35,14 +35,23 @@ class Services:
         """Give a session whose changes are committed together at the end, or not at all.
 
         Rows stay readable after the commit. Send messages to the queue after this, never inside.
+
+        Raises:
+            Unavailable: The database is away, or went away: then the change may or may not have been made.
+            StorageFull: Its disk is full.
         """
-        with Session(self.engine, expire_on_commit=False, info={"blobs": self.blobs}) as session, session.begin():
+        with (
+            database.outages_are_said(),
+            Session(self.engine, expire_on_commit=False, info={"blobs": self.blobs}) as session,
+            session.begin(),
+        ):
             yield session
 
     @contextmanager
     def snapshot(self) -> Iterator[Session]:
         """Give a session that reads one consistent state and waits for no writer; nothing is committed."""
-        with Session(database.snapshot_engine(self.engine), expire_on_commit=False, autoflush=False) as session:
+        engine = database.snapshot_engine(self.engine)
+        with database.outages_are_said(), Session(engine, expire_on_commit=False, autoflush=False) as session:
             yield session
 
     def close(self) -> None:

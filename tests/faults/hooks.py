@@ -110,8 +110,9 @@ def install(points: Iterable[str]) -> None:
 
     _live_points.update(points)
     wrap(FolderBlobs, "put_file", before="received", after="promoted")
-    wrap(BucketBlobs, "put_file", before="received", after="promoted")
     wrap(blobs, "_flush", after="fsynced")
+    wrap(BucketBlobs, "put_file", before="fsynced")  # flushing is the store's own affair there
+    wrap(BucketBlobs, "put_file", before="received", after="promoted")
     wrap(Queue, "enqueue", after="enqueued")
     _reach_after_commit()
     _send_copies(int(os.environ.get(COPIES_VARIABLE, "1")))
@@ -126,7 +127,8 @@ def wrap(owner: Any, name: str, *, before: str | None = None, after: str | None 
     @functools.wraps(original)
     def wrapped(*arguments: Any, **named: Any) -> Any:
         if before:
-            reach(before)
+            with blobs.no_room_is_said():
+                reach(before)
         result = original(*arguments, **named)
         if after:
             reach(after)

@@ -75,6 +75,11 @@ class Service(ABC):
 
     def start(self) -> None:
         """Start the program and wait until it answers."""
+        self.launch()
+        self.wait_until_ready()
+
+    def launch(self) -> None:
+        """Start the program without waiting."""
         with self.log_path.open("ab") as log:
             self.process = subprocess.Popen(
                 list(self.command()),
@@ -86,6 +91,9 @@ class Service(ABC):
                 extra_groups=[] if self.user() else None,
                 start_new_session=True,
             )
+
+    def wait_until_ready(self) -> None:
+        """Wait until the service answers."""
         wait_until(self._ready_or_dead, what=f"{self.name} (log: {self.log_path})")
 
     def _ready_or_dead(self) -> bool:

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -48,9 +49,10 @@ class WorkerProcess(Service):
 
     def is_ready(self) -> bool:
         """Say whether it takes messages."""
-        return b" ready." in self.log_path.read_bytes()
+        return self.log_path.exists() and b" ready." in self.log_path.read_bytes()
 
-    def start(self) -> None:
-        """Start afresh, without the log of an earlier start."""
-        self.log_path.unlink(missing_ok=True)
-        super().start()
+    def launch(self) -> None:
+        """Start afresh; the log of an earlier start is kept beside the new one."""
+        if self.log_path.exists():
+            self.log_path.rename(self.folder / f"worker-{time.monotonic_ns()}.log")
+        super().launch()

@@ -1,0 +1,191 @@
+"""Everything a real installation consists of, as processes that can be killed one by one and are started again.
+
+The same in both shapes but for the database, the broker and the blobs. Two workers, one web process, one scheduler.
+"""
+
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from server import accounts, database
+from server.services import Services
+from server.settings import Settings
+from tests.faults import hooks, sabotage
+from tests.services.broker import Broker
+from tests.services.bucket import BucketServer
+from tests.services.installation import Installation
+from tests.services.postgresql import PostgresqlServer
+from tests.services.processes import Service
+from tests.services.web import WebProcess
+from tests.services.worker import WorkerProcess, environment_of
+
+LEASE_S = 3.0
+TIMES: dict[str, Any] = {
+    "lease_s": LEASE_S, "heartbeat_s": 0.5, "sweep_s": 1.0, "resend_s": 3.0, "broker_timeout_s": 1.5,
+    "disk_floor_bytes": 0, "worker_concurrency": 1,
+}  # fmt: skip
+
+TARGETS = ("web", "worker", "worker_parent", "pool_process", "scoring_process", "scheduler", "broker", "database")
+
+
+class Scheduler(Service):
+    """Celery beat."""
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        """Take the settings of an installation."""
+        super().__init__("scheduler", folder)
+        self.settings = settings
+
+    def command(self) -> Sequence[str]:
+        """Run the command that operators run."""
+        return [sys.executable, "-m", "celery", "--app", "worker.app", "beat", "--pidfile=", "--loglevel", "WARNING"]
+
+    def environment(self) -> Mapping[str, str]:
+        """Give the installation's settings."""
+        return environment_of(self.settings)
+
+
+class Deployment:
+    """One running installation under attack."""
+
+    def __init__(self, shape: str, folder: Path, *, sabotaged: str | None = None) -> None:
+        """Start everything and create a team with a phase and a token."""
+        self.shape = shape
+        self.faults = folder / "faults"
+        self.faults.mkdir(parents=True)
+        self._short = tempfile.TemporaryDirectory(prefix="cs3d-")
+        socket = Path(self._short.name) / "broker.sock" if shape == "embedded" else None
+        self.broker = Broker(folder / "broker", socket=socket)
+        self.database = PostgresqlServer(folder / "postgresql") if shape == "scale_out" else None
+        self.bucket = BucketServer(folder / "bucket") if shape == "scale_out" else None
+        for service in self._backing():
+            service.start()
+        self.services = Services.from_settings(Settings(data_dir=folder / "data", **TIMES, **self._places()))
+        database.migrate(self.services.engine)
+        self.installation = Installation(services=self.services, broker=self.broker, folder=folder)
+        self.installation.populate(submissions_per_day=100_000, rejections_per_day=100_000)
+        self.token = self._create_token()
+        environment = {hooks.FOLDER_VARIABLE: str(self.faults), sabotage.VARIABLE: sabotaged or ""}
+        self.web = WebProcess(folder / "web", self.services.settings, application="tests.faults.web_app:application")
+        self.web.extra = {**environment, hooks.COPIES_VARIABLE: "5"}
+        self.workers = [self._worker(folder / f"worker{index}", index, environment) for index in range(2)]
+        self.scheduler = Scheduler(folder / "scheduler", self.services.settings)
+        fronts = (self.web, *self.workers, self.scheduler)
+        for front in fronts:
+            front.launch()
+        self.wait_until_ready()
+
+    def wait_until_ready(self) -> None:
+        """Wait until everything answers."""
+        for service in self._all():
+            service.wait_until_ready()
+
+    def _worker(self, folder: Path, index: int, environment: dict[str, str]) -> WorkerProcess:
+        """Plan a worker; the second one's clock is an hour fast."""
+        shifted = {**environment, hooks.CLOCK_VARIABLE: str(3600 * index)}
+        return WorkerProcess(folder, self.services.settings, module="tests.faults.worker_app", extra=shifted)
+
+    def _backing(self) -> list[Service]:
+        return [service for service in (self.database, self.bucket, self.broker) if service is not None]
+
+    def _places(self) -> dict[str, Any]:
+        places: dict[str, Any] = {"broker_url": self.broker.url}
+        if self.database is not None:
+            places["database_url"] = self.database.url(self.database.create_database())
+        if self.bucket is not None:
+            places |= {
+                "blob_url": f"s3://{self.bucket.create_bucket()}", "s3_endpoint_url": self.bucket.url,
+                "s3_access_key_id": "test", "s3_secret_access_key": "test",
+            }  # fmt: skip
+        return places
+
+    def _create_token(self) -> str:
+        with self.services.transaction() as session:
+            user = accounts.find_user(session, "ann@example.org")
+            team = accounts.find_team(session, "lab")
+            return accounts.create_token(session, user=user, team=team, name="t", expires_at=None, actor="admin:t")[1]
+
+    def victims(self, target: str, index: int) -> tuple[int, ...]:
+        """Give what to kill for a target: process ids, negative for groups; empty when there is none at the moment.
+
+        Args:
+            target: One of `TARGETS`.
+            index: Chooses the worker.
+        """
+        worker = self.workers[index % len(self.workers)]
+        services: dict[str, Service | None] = {
+            "web": self.web, "worker": worker, "scheduler": self.scheduler, "broker": self.broker,
+        }  # fmt: skip
+        if target in services:
+            service = services[target]
+            return (-service.process.pid,) if service and service.process else ()
+        if target == "database":
+            process = self.database.process if self.database else None
+            return (process.pid,) if process else ()
+        parent = worker.process.pid if worker.process else 0
+        if target == "worker_parent":
+            return (parent,) if parent else ()
+        return _children(parent, scoring=target == "scoring_process")
+
+    def revive(self) -> None:
+        """Start again what died, as a supervisor does; what others depend on is waited for."""
+        for service in self._all():
+            if not service.running:
+                service.kill()
+                if service in self._backing():
+                    _start_patiently(service)
+                else:
+                    service.launch()
+
+    def _all(self) -> list[Service]:
+        return [*self._backing(), self.web, *self.workers, self.scheduler]
+
+    def logs(self) -> dict[str, str]:
+        """Read what our own processes wrote."""
+        folders = [service.folder for service in (self.web, *self.workers, self.scheduler)]
+        paths = [path for folder in folders for path in folder.glob("*.log")]
+        return {str(path): path.read_text(errors="replace") for path in paths}
+
+    def close(self) -> None:
+        """End everything, what is frozen too."""
+        for service in reversed(self._all()):
+            service.signal(signal.SIGCONT)
+            service.kill()
+        self.services.close()
+        self._short.cleanup()
+
+
+def _children(parent: int, *, scoring: bool) -> tuple[int, ...]:
+    """Find a worker's pool processes or scoring processes."""
+    try:
+        below = psutil.Process(parent).children(recursive=True) if parent else []
+        found = [child.pid for child in below if ("worker.child" in child.cmdline()) is scoring]
+    except psutil.Error:
+        return ()
+    return tuple(found)
+
+
+def _start_patiently(service: Service) -> None:
+    """Start a service; a database that was killed needs a moment until its remains are gone."""
+    for _ in range(40):
+        try:
+            service.start()
+        except RuntimeError:
+            time.sleep(0.25)
+        else:
+            return
+    service.start()
+
+
+def wake(processes: list[int]) -> None:
+    """Continue frozen processes."""
+    for process in processes:
+        if psutil.pid_exists(process):
+            os.kill(process, signal.SIGCONT)
