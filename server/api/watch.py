@@ -78,8 +78,8 @@ class Watch:
         while self._waiting:
             try:
                 marks = await run_in_threadpool(self._marks, list(self._waiting))
-            except sa.exc.SQLAlchemyError as error:
-                # The database may be away for a moment; those who wait are better off waiting.
+            except Exception as error:  # noqa: BLE001 - those who wait must not wait for ever on a task that is gone
+                # The database may be away for a moment; it is asked again.
                 log.warning("watch_failed", error=repr(error))
                 marks = {}
             for submission_id, mark in marks.items():
@@ -90,7 +90,7 @@ class Watch:
     def _marks(self, submission_ids: list[uuid.UUID]) -> dict[uuid.UUID, Mark]:
         query = sa.select(Submission.id, Submission.version, Submission.stage, Submission.images_done)
         with self._services.snapshot() as session:
-            rows = session.execute(query.where(Submission.id.in_(submission_ids))).tuples()
+            rows = session.execute(query.where(Submission.id.in_(submission_ids)))
             return {row_id: (version, stage, done) for row_id, version, stage, done in rows}
 
 

@@ -10,8 +10,10 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from server.models import Score as ScoreRow
 from tests.integration.site import Site, send
 from tests.services.installation import SMALL_CASE
+from tests.services.processes import wait_until
 
 Score = Callable[[str], None]
 
@@ -77,17 +79,24 @@ def test_waiting_in_vain_is_304(site: Site, archive: bytes) -> None:
 
 def test_events_tell_every_state_until_the_last(site: Site, archive: bytes, score: Score) -> None:
     """The event stream begins with the present state, tells changes and ends with the terminal state."""
-    with site.client(site.token()) as client:
+    token = site.token()
+    with site.client(token) as client:
         document = send(client, archive).json()
-        states: list[str] = []
-        with client.stream("GET", f"{own(document)}/events") as stream:
-            assert stream.headers["content-type"].startswith("text/event-stream")
-            for line in stream.iter_lines():
-                if line.startswith("data:"):
-                    states.append(json.loads(line.removeprefix("data:"))["state"])
-                    if states == ["received"]:
-                        threading.Thread(target=score, args=(document["id"],)).start()
-    assert states[0] == "received"
+    states: list[str] = []
+
+    def follow() -> None:
+        with site.client(token) as client, client.stream("GET", f"{own(document)}/events") as stream:
+            states.append(stream.headers["content-type"].partition(";")[0])
+            data = (line.removeprefix("data:") for line in stream.iter_lines() if line.startswith("data:"))
+            states.extend(json.loads(text)["state"] for text in data)
+
+    following = threading.Thread(target=follow, daemon=True)
+    following.start()
+    wait_until(lambda: len(states) > 0, what="the stream's beginning")
+    score(document["id"])
+    following.join(timeout=30)
+    assert states[0] == "text/event-stream"
+    assert states[1] == "received"
     assert states[-1] == "scored"
 
 
@@ -225,14 +234,29 @@ def test_unknown_addresses_are_problem_documents(site: Site, method: str, path: 
     assert (wrong.status_code, wrong.json()["code"], wrong.headers["allow"]) == (405, "method_not_allowed", "GET")
 
 
-def test_unforeseen_errors_say_nothing_about_the_inside(site: Site) -> None:
-    """A database that breaks is a 500 problem document with a reference, without names of tables or files."""
+def test_unforeseen_errors_say_nothing_about_the_inside(site: Site, archive: bytes, score: Score) -> None:
+    """Damaged scores in the blob store are a 500 problem document with a reference, and nothing about the inside."""
+    with site.client(site.token()) as client:
+        document = send(client, archive).json()
+        score(document["id"])
+        with site.services.snapshot() as session:
+            sha256 = session.scalar(sa.select(ScoreRow.scores_sha256))
+        assert sha256
+        damaged = site.services.blobs.local_path(sha256)
+        damaged.chmod(0o600)
+        damaged.write_bytes(b"broken")
+        response = client.get(f"{own(document)}/results")
+    assert (response.status_code, response.json()["code"]) == (500, "internal_error")
+    assert response.json()["instance"].startswith("urn:cs3d:error:")
+    assert sha256 not in response.text
+    assert "msgspec" not in response.text
+    assert "default-src 'none'" in response.headers["content-security-policy"]
+
+
+def test_a_database_that_is_away_is_503(site: Site) -> None:
+    """While the database does not answer, so says the API, with a code that invites to come back."""
     with site.services.transaction() as session:
         session.execute(sa.text("DROP TABLE token"))
     with site.client("cs3d_any") as client:
         response = client.get("/api/v1/submissions")
-    document = response.json()
-    assert (response.status_code, document["code"]) == (500, "internal_error")
-    assert document["instance"].startswith("urn:cs3d:error:")
-    assert "token" not in response.text.lower()
-    assert "default-src 'none'" in response.headers["content-security-policy"]
+    assert (response.status_code, response.json()["code"]) == (503, "unavailable")
