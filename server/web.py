@@ -12,11 +12,11 @@ import anyio.to_thread
 from fastapi import APIRouter, FastAPI
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from evaluator.errors import BenchmarkError
-from server.api import leaderboards, openapi, problems, sending, submissions, uploads
+from server.api import integrity, leaderboards, openapi, problems, sending, submissions, uploads
 from server.api.edge import Web, attach
 from server.api.identity import Identities
 from server.api.polling import Polls, RepeatedPolls
@@ -63,6 +63,7 @@ def create_app(services: Services, *, limits: UploadLimits | None = None) -> Fas
     app.openapi = lambda: openapi.build(app)  # type: ignore[method-assign]  # FastAPI's documented way
     for kind in (BenchmarkError, HTTPException, RequestValidationError):
         app.add_exception_handler(kind, _on_error)
+    app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_unforeseen)
     app.add_middleware(RepeatedPolls, polls=web.polls, prefix=f"{API}/submissions/")
     app.add_middleware(SecurityHeaders)
@@ -87,7 +88,7 @@ def _web(services: Services, limits: UploadLimits) -> Web:
 
 def _api() -> APIRouter:
     router = APIRouter(prefix=API)
-    for part in (sending, submissions, uploads, leaderboards):
+    for part in (sending, submissions, integrity, uploads, leaderboards):
         router.include_router(part.router)
 
     @router.get("/openapi.json", include_in_schema=False)
@@ -112,6 +113,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 async def _on_error(request: Request, exception: Exception) -> Response:
     problem = problems.problem_of(problems.error_of(exception))
     return _answer(request, problem, dict(getattr(exception, "headers", None) or {}))
+
+
+async def _on_disconnect(request: Request, exception: Exception) -> Response:
+    """End a request whose sender is gone; nobody reads this."""
+    del request, exception
+    return Response(status_code=400)
 
 
 async def _on_unforeseen(request: Request, exception: Exception) -> Response:

@@ -5,6 +5,6 @@ command.py       what a command is and what it gives back
 installation.py  init, migrate, serve, worker
 people.py        create-user, create-team, add-member, create-token
 benchmarks.py    create-benchmark, create-phase, import-ground-truth, grant
-submissions.py   requeue, publish, status
+submissions.py   requeue, publish, release, status
 demo.py          demo: a whole benchmark with three imaginary methods
 """

@@ -7,6 +7,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from evaluator.errors import UsageError
+from server import integrity
 from server import submissions as record
 from server.admin.command import DONE, REFUSED, Outcome, Subparsers, actor, add, table
 from server.benchmarks import list_benchmarks
@@ -22,6 +23,8 @@ def add_commands(subparsers: Subparsers) -> None:
     published = add(subparsers, "publish", publish)
     published.add_argument("submission", metavar="SUBMISSION")
     published.add_argument("--withdraw", action="store_true", help="take it off the leaderboard instead")
+    released = add(subparsers, "release", release)
+    released.add_argument("submission", metavar="SUBMISSION")
     add(subparsers, "status", status)
 
 
@@ -54,6 +57,16 @@ def publish(args: argparse.Namespace, services: Services) -> Outcome:
         data={"submission": args.submission, "publication": publication},
         text=f"Submission {args.submission} is {publication}.",
     )
+
+
+def release(args: argparse.Namespace, services: Services) -> Outcome:
+    """Let a submission that is held for its integrity audit be published."""
+    with services.transaction() as session:
+        submission = record.find(session, args.submission)
+        reason = submission.held_reason
+        integrity.release(session, submission, actor=actor())
+    text = f"Released; it was held because: {reason}" if reason else "It is not held."
+    return Outcome(data={"submission": args.submission, "was_held": reason}, text=text)
 
 
 def status(args: argparse.Namespace, services: Services) -> Outcome:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import msgspec
 
+from evaluator.integrity import IntegrityAudit
 from evaluator.report import Report
 from evaluator.results import Scores
 
@@ -62,6 +63,8 @@ class SubmissionDocument(msgspec.Struct, frozen=True, kw_only=True):
     attempt: int
     progress: Progress | None
     publication: Literal["private", "published", "withdrawn"]
+    held: str | None
+    """Why a maintainer must look before it may be published; for the team and maintainers."""
     predictions: PredictionsFile
     failure: Failure | None
     report: Report | None
@@ -193,5 +196,6 @@ EXPOSED = (
     LeaderboardDocument,
     BenchmarkList,
     UploadDocument,
+    IntegrityAudit,
 )
 """Every type an endpoint answers with, for OpenAPI."""

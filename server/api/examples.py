@@ -27,6 +27,7 @@ SUBMISSION: dict[str, Any] = {
     "attempt": 1,
     "progress": {"stage": "scoring", "images_done": 120, "images_total": 200},
     "publication": "private",
+    "held": None,
     "predictions": {"sha256": "ab" * 32, "size_bytes": 1048576, "file_name": "predictions.zip"},
     "failure": None,
     "report": None,

@@ -3,6 +3,7 @@
 import msgspec
 from sqlalchemy.orm import object_session
 
+from evaluator.integrity import IntegrityAudit
 from evaluator.protocol import Signature
 from evaluator.report import Report
 from evaluator.results import Scores
@@ -44,6 +45,7 @@ def submission_document(submission: Submission, blobs: Blobs, *, owned: bool) ->
         attempt=submission.attempt,
         progress=_progress(submission),
         publication=submission.publication.value,
+        held=submission.held_reason if owned else None,
         predictions=_predictions(submission),
         failure=_failure(submission) if owned else None,
         report=report_of(submission, blobs) if owned else None,
@@ -75,6 +77,12 @@ def report_of(submission: Submission, blobs: Blobs) -> Report | None:
     if submission.report_sha256 is None:
         return None
     return msgspec.json.decode(blobs.read(submission.report_sha256), type=Report)
+
+
+def integrity_of(submission: Submission) -> IntegrityAudit | None:
+    """Give the audit of the score a submission is shown with; None before it is scored."""
+    score = ranking_score(submission) if submission.state is SubmissionState.SCORED else None
+    return msgspec.convert(score.integrity, IntegrityAudit) if score and score.integrity else None
 
 
 def scores_of(submission: Submission, blobs: Blobs) -> Scores:

@@ -7,12 +7,13 @@ from sqlalchemy.orm import Session
 from starlette.responses import Response
 
 from evaluator.results import Scores
-from server import accounts, audit, ranking, submissions
+from server import accounts, audit, integrity, ranking, submissions
 from server.api import rendering
 from server.api.errors import MalformedRequest
 from server.api.identity import Identity
 from server.api.submissions import owned, visible
 from server.charts import Chart
+from server.errors import Forbidden
 from server.models import AuditEvent, Submission, SubmissionState, User
 from server.pages import tables
 from server.pages.rendering import Context
@@ -90,6 +91,7 @@ def submission_page(submission_id: str, visit: VisitDependency) -> Response:
             "steps": life(submission, audit.trail(session, audit.subject_of(submission))),
             "scores": scores,
             "charts": charts,
+            "audit": rendering.integrity_of(submission) if mine else None,
             "bin_metric": tables.View.from_query(visit.request.query_params, ()).bin_metric,
             "tables": tables,
         }
@@ -120,6 +122,20 @@ def cancel(submission_id: str, visit: VisitDependency, fields: FieldsDependency)
     def work(session: Session, identity: Identity) -> str:
         submission = owned(session, submission_id, identity)
         submissions.cancel(session, submission, identity.actor)
+        return f"/submissions/{submission.id}"
+
+    return visit.act(fields, work)
+
+
+@router.post("/submissions/{submission_id}/release")
+def release(submission_id: str, visit: VisitDependency, fields: FieldsDependency) -> Response:
+    """Let a held submission be published, as a maintainer; then show it."""
+
+    def work(session: Session, identity: Identity) -> str:
+        submission = owned(session, submission_id, identity)
+        if not identity.user.is_maintainer:
+            raise Forbidden("only a maintainer may release a held submission")
+        integrity.release(session, submission, identity.actor)
         return f"/submissions/{submission.id}"
 
     return visit.act(fields, work)
