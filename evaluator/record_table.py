@@ -1,7 +1,8 @@
 """Turns decoded records into numpy tables, several times faster than numpy would.
 
 MessagePack writes each record of the same float fields with the same number of bytes, so the encoding, done in C,
-already is a structured array.
+already is a structured array. Each file's records are encoded while they are still in the processor's cache, and
+become a table together.
 """
 
 from collections.abc import Sequence
@@ -29,31 +30,23 @@ def _row(**widths: int) -> np.dtype[Any]:
     return np.dtype(fields)
 
 
-_ROW_2D = _row(amodal=4, modal=4)
-_ROW_3D = _row(center=3, dimensions=3, rotation=4)
+ROW_2D = _row(amodal=4, modal=4)
+"""Columns amodal and modal of `Box2d` records that have both."""
+ROW_3D = _row(center=3, dimensions=3, rotation=4)
+"""Columns center, dimensions and rotation of `Box3d` records."""
 
 
-def tabulate_2d(records: Sequence[Box2d]) -> NDArray[Any] | None:
-    """Make a table with the columns amodal and modal; None when a record lacks its modal box."""
-    return _tabulate(records, _ROW_2D)
-
-
-def tabulate_3d(records: Sequence[Box3d]) -> NDArray[Any]:
-    """Make a table with the columns center, dimensions and rotation."""
-    table = _tabulate(records, _ROW_3D)
-    if table is None:
-        raise AssertionError("msgspec no longer writes floats with nine bytes")
-    return table
-
-
-def _tabulate(records: Sequence[object], row: np.dtype[Any]) -> NDArray[Any] | None:
-    """Read the encoding as a table, None when it has another size."""
+def encode_rows(records: Sequence[Box2d] | Sequence[Box3d], row: np.dtype[Any]) -> bytes | None:
+    """Encode records as rows of a table; None when some lack a field."""
     encoded = _ENCODER.encode(records)
     count = len(records)
     header = 1 if count < _SHORT_ARRAY else 3 if count < _MEDIUM_ARRAY else 5
-    if len(encoded) != header + count * row.itemsize:
-        return None
-    return np.frombuffer(encoded, dtype=row, offset=header) if count else np.empty(0, dtype=row)
+    return encoded[header:] if len(encoded) == header + count * row.itemsize else None
+
+
+def make_table(rows: Sequence[bytes], row: np.dtype[Any]) -> NDArray[Any]:
+    """Join encoded rows to a table."""
+    return np.frombuffer(b"".join(rows), dtype=row)
 
 
 def floats(table: NDArray[Any], column: str) -> Float64Array:

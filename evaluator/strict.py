@@ -7,7 +7,7 @@ import numpy as np
 
 from evaluator.archive import MemberError, Source
 from evaluator.codes import Code
-from evaluator.columns import NOT_EVALUATED, Columns, concatenate, gather
+from evaluator.columns import NOT_EVALUATED, ColumnBuilder, Columns, concatenate
 from evaluator.decoding import Box, decode, extra_keys_are_clean, keys_are_expected
 from evaluator.explanation import explain
 from evaluator.file_names import assign_files
@@ -19,8 +19,7 @@ from evaluator.protocol import VEHICLE_LABELS
 Progress = Callable[[int, int], None]
 """Called with the images done and the images in all."""
 
-_BATCH_BOXES = 1024
-"""Small enough that a batch stays in the processor's cache."""
+_BATCH_BOXES = 4096
 _BATCH_BYTES = 32 * 1024 * 1024
 
 
@@ -50,7 +49,7 @@ class StrictReading:
     def read(self, progress: Progress | None) -> Predictions:
         """Read every file, batch by batch."""
         parts: list[Columns] = []
-        batch = _Batch()
+        batch = _Batch(self._label_numbers)
         for done, (image, number) in enumerate(self.assigned, start=1):
             data = self._read_bytes(number)
             boxes = None if data is None else self._decode(number, data)
@@ -58,7 +57,7 @@ class StrictReading:
                 batch.add(image, number, data, boxes)
             if batch.is_full or done == len(self.assigned):
                 parts.append(self._finish(batch))
-                batch = _Batch()
+                batch = _Batch(self._label_numbers)
                 if progress is not None:
                     progress(done, len(self.assigned))
         for label, count in self._left_out.items():
@@ -101,8 +100,8 @@ class StrictReading:
 
     def _finish(self, batch: "_Batch") -> Columns:
         """Turn a batch into arrays and explain the files with keys or values that are not as they should be."""
-        columns, modal = gather(batch.boxes, batch.image_index, self._label_numbers)
-        if not keys_are_expected(batch.data, len(batch.boxes), modal):
+        columns = batch.columns.build(batch.image_index)
+        if not keys_are_expected(batch.data, len(batch.columns), batch.columns.modal):
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
@@ -111,12 +110,12 @@ class StrictReading:
         evaluated = columns.evaluated()
         self.boxes += len(evaluated.score)
         if len(evaluated.score) < len(columns.score):
-            self._count_left_out(batch.boxes)
+            self._count_left_out(batch.columns.labels)
         return evaluated
 
-    def _count_left_out(self, boxes: Sequence[Box]) -> None:
+    def _count_left_out(self, labels: Sequence[str]) -> None:
         """Count the boxes of known classes that are not evaluated."""
-        for label, count in Counter(box.label for box in boxes).items():
+        for label, count in Counter(labels).items():
             if label in self._left_out:
                 self._left_out[label] += count
 
@@ -124,9 +123,9 @@ class StrictReading:
 class _Batch:
     """Some files' boxes, with the bytes they came from in case they need explaining."""
 
-    def __init__(self) -> None:
+    def __init__(self, label_numbers: dict[str, int]) -> None:
         """Start empty."""
-        self.boxes: list[Box] = []
+        self.columns = ColumnBuilder(label_numbers)
         self.numbers: list[int] = []
         self.data: list[bytes] = []
         self.images: list[int] = []
@@ -135,7 +134,7 @@ class _Batch:
 
     def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box]) -> None:
         """Append one file."""
-        self.boxes.extend(boxes)
+        self.columns.add(boxes)
         self.numbers.append(number)
         self.data.append(data)
         self.images.append(image)
@@ -145,7 +144,7 @@ class _Batch:
     @property
     def is_full(self) -> bool:
         """Tell when to turn it into arrays."""
-        return len(self.boxes) >= _BATCH_BOXES or self._bytes >= _BATCH_BYTES
+        return len(self.columns) >= _BATCH_BOXES or self._bytes >= _BATCH_BYTES
 
     @property
     def image_index(self) -> IndexArray:

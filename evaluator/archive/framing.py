@@ -22,6 +22,7 @@ _LARGEST_32 = 0xFFFFFFFF
 STORED, DEFLATED = 0, 8
 _FLAG_ENCRYPTED = 0x0001 | 0x0040 | 0x2000  # 4.4.4: bit 0, bit 6 strong encryption, bit 13 masked headers
 _FLAG_DESCRIPTOR = 0x0008
+_FLAG_PATCHED = 0x0020
 _UNIX_TYPES = {0x0000: "none", 0x4000: "folder", 0x8000: "regular file"}
 _METHODS = {
     1: "shrink",
@@ -98,8 +99,9 @@ def _check_entry(entry: Entry, limits: Limits, findings: Findings) -> None:
         findings.add(Code.UNDECODABLE_NAME, file=entry.shown_name)
     if entry.flags & _FLAG_ENCRYPTED:
         findings.add(Code.ENCRYPTED, file=entry.shown_name)
-    if entry.method not in (STORED, DEFLATED):
-        method = _METHODS.get(entry.method, str(entry.method))
+    patched = entry.flags & _FLAG_PATCHED
+    if patched or entry.method not in (STORED, DEFLATED):
+        method = "patched data" if patched else _METHODS.get(entry.method, str(entry.method))
         findings.add(Code.UNSUPPORTED_COMPRESSION, file=entry.shown_name, found=method, expected="deflate or store")
     if entry.unix_type not in _UNIX_TYPES:
         findings.add(Code.LINK_OR_DEVICE, file=entry.shown_name)

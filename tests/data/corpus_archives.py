@@ -317,6 +317,8 @@ def _false_headers() -> Iterator[Case]:
     for name, method in (("bzip2", 12), ("lzma", 14), ("deflate64", 9), ("zstd", 93), ("aes", 99), ("implode", 6)):
         yield f"method_{name}", "unsupported_compression", _changed(method=method, packed=SECOND.data)
 
+    yield "method_patched", "unsupported_compression", _changed(flags=0x20)
+
 
 def _shared_bytes() -> Iterator[Case]:
     yield "overlap_same_member", "overlapping_members", _twice()

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 
 from evaluator.archive import MemberError, check_framing, unpack
-from evaluator.columns import NOT_EVALUATED, gather
+from evaluator.columns import NOT_EVALUATED, ColumnBuilder
 from evaluator.decoding import decode, extra_keys_are_clean, keys_are_expected
 from evaluator.explanation import explain
 from evaluator.findings import Findings
@@ -33,8 +33,10 @@ def _fast_path_is_content(data: bytes) -> bool:
     boxes = decode(data)
     if boxes is None or len(boxes) > LIMITS.boxes_per_image:
         return False
-    columns, modal = gather(boxes, np.zeros(len(boxes), dtype=np.int32), _LABELS)
-    expected = keys_are_expected([data], len(boxes), modal) or extra_keys_are_clean(data, LIMITS.json_depth)
+    builder = ColumnBuilder(_LABELS)
+    builder.add(boxes)
+    columns = builder.build(np.zeros(len(boxes), dtype=np.int32))
+    expected = keys_are_expected([data], len(boxes), builder.modal) or extra_keys_are_clean(data, LIMITS.json_depth)
     return expected and not columns.rows_to_explain().any()
 
 
