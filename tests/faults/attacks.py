@@ -12,7 +12,7 @@ from tests.faults.deployment import LEASE_S, Deployment, wake
 from tests.faults.hooks import Strike
 from tests.services.processes import wait_until
 
-REACHED_S = 20.0
+REACHED_S = 30.0
 """With participants at work every point is passed within this."""
 
 
