@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
-from tests.data import corpus_archives, corpus_predictions
+from tests.data import corpus_archives, corpus_archives_refused, corpus_predictions
 
 DATA = Path(__file__).parent
 Case = tuple[str, str, bytes]
@@ -44,7 +44,7 @@ def make_corpus(root: Path) -> int:
     return sum(
         (
             _write(corpus_archives.accepted(), root / "archives" / "accept", "zip"),
-            _write(corpus_archives.refused(), root / "archives" / "reject", "zip"),
+            _write(corpus_archives_refused.refused(), root / "archives" / "reject", "zip"),
             _write(corpus_predictions.accepted(), root / "predictions" / "accept", "json"),
             _write(corpus_predictions.refused(), root / "predictions" / "reject", "json"),
         )
