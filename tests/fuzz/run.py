@@ -28,7 +28,7 @@ def main() -> int:
     if importlib.util.find_spec("atheris") is None:
         print("atheris is not installed: pip install -r requirements/fuzz.txt", file=sys.stderr)  # noqa: T201 -- a command
         return 2
-    statuses = [_hypothesis(), *(fuzz_with_atheris(target, max(1, seconds // 2)) for target in SEEDS)]
+    statuses = [_hypothesis(), *(_atheris(target, max(1, seconds // 2)) for target in SEEDS)]
     return 1 if any(statuses) else 0
 
 
@@ -49,7 +49,7 @@ def _hypothesis() -> int:
     return subprocess.run(command, cwd=ROOT, check=False).returncode
 
 
-def fuzz_with_atheris(target: str, seconds: int) -> int:
+def _atheris(target: str, seconds: int) -> int:
     """Run one target, starting from the corpus."""
     ARTIFACTS.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
