@@ -109,7 +109,7 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
     if ground_truth.images != predictions.images:
         raise UsageError("Ground truth and predictions must list the same images in the same order.")
     groups = groups_of(ground_truth, predictions, protocol)
-    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, protocol, np.isin(groups[1], groups[0]))
+    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, protocol)
     pairs = _overlapping_pairs(groups, gt_boxes, prediction_boxes, max(protocol.min_iou - ROUNDING, 0.0))
     if not protocol.modal:
         pairs = settled(pairs, protocol.min_iou, gt_boxes, ground_truth, predictions)
@@ -137,22 +137,20 @@ def _overlapping_pairs(
 
 
 def _boxes_to_match(
-    ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol, wanted: NDArray[np.bool_]
+    ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the boxes of both sides as (4, M) and (4, N) corners; zeros for predictions not wanted."""
+    """Return the boxes of both sides as (4, M) and (4, N) corners."""
     if protocol.modal:
         return corners_px(ground_truth.modal_px), corners_px(predictions.modal_px)
-    boxes = np.zeros((4, len(predictions)))
     projected = projected_corners_px(
-        predictions.center_m[wanted],
-        predictions.dimensions_m[wanted],
-        predictions.rotation[wanted],
+        predictions.center_m,
+        predictions.dimensions_m,
+        predictions.rotation,
         intrinsics_px=ground_truth.intrinsics_px,
         sensor_from_vehicle=ground_truth.sensor_from_vehicle,
-        camera_index=predictions.image_index[wanted],
+        camera_index=predictions.image_index,
     )
-    boxes[:, wanted] = through_width_and_height(projected)
-    return corners_px(ground_truth.amodal_px), boxes
+    return corners_px(ground_truth.amodal_px), through_width_and_height(projected)
 
 
 def groups_of(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> tuple[RowArray, RowArray]:
@@ -221,9 +219,11 @@ def _inside_ignore_region(
     `calcOverlapMatrix`, `matchIgnores`).
     """
     inside = np.zeros(len(predictions), dtype=bool)
-    tested = np.flatnonzero(unmatched)
+    has_regions = np.zeros(len(ground_truth.images), dtype=bool)
+    has_regions[ground_truth.ignore_image_index] = True
+    tested = np.flatnonzero((unmatched > 0) & has_regions[predictions.image_index])
     boxes, regions = corners_px(predictions.modal_px[tested]), corners_px(ground_truth.ignore_px)
-    groups = predictions.image_index[tested].astype(np.int64), ground_truth.ignore_image_index.astype(np.int64)
+    groups = predictions.image_index[tested], ground_truth.ignore_image_index
     for row, region in pairs_within_groups(*groups):
         covered = covered_fractions(regions[:, region], boxes[:, row]) > protocol.min_iou
         inside[tested[row[covered]]] = True

@@ -21,10 +21,11 @@ def unit_quaternions(rotation: Float64Array) -> Float64Array:
     Returns:
         (4, N) unit quaternions, one row for each of w, x, y, z. q, -q and k q describe the same rotation.
     """
-    w, x, y, z = rotation.T
+    columns = np.ascontiguousarray(rotation.T)
+    w, x, y, z = columns
     squared = w * w + x * x + y * y + z * z
     length = np.where(np.abs(1.0 - squared) < UNIT_TOLERANCE, 1.0, np.sqrt(squared))
-    return np.asarray(rotation.T / length)
+    return np.asarray(columns / length)
 
 
 def rotation_matrices(rotation: Float64Array) -> Float64Array:

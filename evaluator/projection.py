@@ -54,13 +54,14 @@ def projected_corners_px(
         beside the image collapses to a line on the border.
     """
     boxes = np.empty((4, len(center_m)))
+    # One row for each number of a camera: views of these, turned back below, stay fast to calculate with.
+    cameras = np.ascontiguousarray(sensor_from_vehicle.transpose(1, 2, 0))
+    intrinsics = np.ascontiguousarray(intrinsics_px.T)
     for start in range(0, len(center_m), BLOCK):
         block = slice(start, start + BLOCK)
         camera = camera_index[block]
-        vertices = vertices_in_camera_m(
-            center_m[block], dimensions_m[block], rotation[block], sensor_from_vehicle[camera]
-        )
-        boxes[:, block] = circumscribed_px(vertices, intrinsics_px[camera])
+        vertices = vertices_in_camera_m(center_m[block], dimensions_m[block], rotation[block], cameras[:, :, camera])
+        boxes[:, block] = circumscribed_px(vertices, intrinsics[:, camera].T)
     return clipped_to_image(boxes) if clip else boxes
 
 
@@ -78,10 +79,11 @@ def vertices_in_camera_m(
     Returns:
         (3, 8, N); vertices whose numbers differ in one bit share an edge.
     """
-    columns = rotation_matrices(rotation).transpose(1, 0, 2) * (dimensions_m.T / 2)[:, None]
+    columns = rotation_matrices(rotation).transpose(1, 0, 2) * (np.ascontiguousarray(dimensions_m.T) / 2)[:, None]
     forward, left, up = sensor_from_vehicle.transpose(1, 2, 0)
+    center = np.ascontiguousarray(center_m.T)
     camera = (-left, -up, forward)
-    middle = np.stack([_dot(row, center_m.T) + row[3] for row in camera])
+    middle = np.stack([_dot(row, center) + row[3] for row in camera])
     half_length, half_width, half_height = (np.stack([_dot(row, column) for row in camera]) for column in columns)
     vertices = np.empty((3, 2, 2, 2, len(center_m)))
     vertices[:, 0, 0, 0], vertices[:, 1, 0, 0] = middle - half_length, middle + half_length
