@@ -60,7 +60,9 @@ def projected_corners_px(
     for start in range(0, len(center_m), BLOCK):
         block = slice(start, start + BLOCK)
         camera = camera_index[block]
-        vertices = vertices_in_camera_m(center_m[block], dimensions_m[block], rotation[block], cameras[:, :, camera])
+        vertices = vertices_in_camera_m(
+            center_m[block], dimensions_m[block], rotation[block], cameras[:, :, camera].transpose(2, 0, 1)
+        )
         boxes[:, block] = circumscribed_px(vertices, intrinsics[:, camera].T)
     return clipped_to_image(boxes) if clip else boxes
 
