@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.predictions import Float64Array, IndexArray
-from evaluator.projection import circumscribed_px, clipped_to_image, vertices_in_camera_m
+from evaluator.projection import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, projected_corners_px
 
 FOCAL_LENGTH_PX = (2262.52, 2265.3017905988554)
 PRINCIPAL_POINT_PX = (1096.98, 513.137)
@@ -99,12 +99,10 @@ class View:
     """(N, 4) x1, y1, x2, y2 of the whole projected box, beyond the image's edges too."""
     clipped_px: Float64Array
     """(N, 4) the same within the image: the amodal box."""
-    nearest_m: Float64Array
-    """(N,) least distance of a corner along the optical axis."""
 
     @property
     def truncation(self) -> Float64Array:
-        """(N,) share of the projected box outside the image, in [0, 1]."""
+        """(N,) share of the projected box outside the image, in [0, 1]; 1 for a box behind the camera."""
         return 1 - area_px(self.clipped_px) / np.maximum(area_px(self.full_px), 1e-9)
 
 
@@ -122,6 +120,14 @@ def view(cameras: Cameras, center_m: Float64Array, dimensions_m: Float64Array, r
         dimensions_m: (N, 3) length, width, height.
         rotation: (N, 4) quaternions w, x, y, z in the vehicle frame.
     """
-    vertices_m = vertices_in_camera_m(center_m, dimensions_m, rotation, cameras.sensor_from_vehicle)
-    full_px = circumscribed_px(vertices_m, cameras.intrinsics_px)
-    return View(full_px.T, clipped_to_image(full_px).T, vertices_m[2].min(axis=0))
+    full_px = projected_corners_px(
+        center_m,
+        dimensions_m,
+        rotation,
+        intrinsics_px=cameras.intrinsics_px,
+        sensor_from_vehicle=cameras.sensor_from_vehicle,
+        camera_index=np.arange(len(center_m), dtype=np.int32),
+        clip=False,
+    ).T
+    edges_px = np.array([IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX]) - 1.0
+    return View(full_px, np.clip(full_px, 0, edges_px))

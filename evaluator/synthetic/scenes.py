@@ -15,9 +15,6 @@ SMALLEST_SIDE_PX = 8.0
 MOST_TRUNCATED = 0.6
 """Beyond this the labelers annotate no box (paper, section Labeling Process)."""
 
-NEAREST_CORNER_M = 1.0
-"""Every corner lies at least this far ahead of the camera, so that all of the box projects."""
-
 HALF_FIELD_OF_VIEW_RAD = 0.44
 ROAD_HALF_WIDTH_M = 14.0
 CROSSING_SHARE = 0.2
@@ -116,11 +113,11 @@ def _put(boxes: Boxes, rows: NDArray[np.integer], redrawn: Boxes) -> Boxes:
 
 
 def _unseen(cameras: Cameras, boxes: Boxes) -> NDArray[np.bool_]:
-    """Mark the boxes that are too near, too small or too far outside their image to be annotated."""
+    """Mark the boxes that are too small or too far outside their image to be annotated; one at the camera is too."""
     seen = view(cameras[boxes.image_index], boxes.center_m, boxes.dimensions_m, boxes.rotation)
     sides_px = seen.clipped_px[:, 2:] - seen.clipped_px[:, :2]
     small: NDArray[np.bool_] = sides_px.min(axis=1) < SMALLEST_SIDE_PX
-    return small | (seen.nearest_m < NEAREST_CORNER_M) | (seen.truncation > MOST_TRUNCATED)
+    return small | (seen.truncation > MOST_TRUNCATED)
 
 
 def _standing_in_another(boxes: Boxes) -> NDArray[np.bool_]:
