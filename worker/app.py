@@ -16,6 +16,7 @@ import structlog
 from celery import signals
 
 from server import sweeper
+from server.errors import ServerError
 from server.queue import EVALUATE_TASK, SWEEP_TASK, celery_app
 from server.services import Services
 from server.settings import Settings
@@ -60,8 +61,11 @@ def evaluate(submission_id: str) -> None:
 
 @app.task(name=SWEEP_TASK)
 def sweep() -> None:
-    """Take back what lost workers held; send again what nobody picked up."""
-    sweeper.sweep(_process(os.getpid()).services)
+    """Take back what lost workers held; send again what nobody picked up. What is away is tried again next time."""
+    try:
+        sweeper.sweep(_process(os.getpid()).services)
+    except ServerError as error:
+        log.warning("sweep_failed", error=repr(error))
 
 
 class _Sweeping(threading.Thread):

@@ -9,6 +9,7 @@ Jobs are JSON lines on standard input, events are JSON lines on standard output;
 
 import contextlib
 import ctypes
+import errno
 import gc
 import os
 import resource
@@ -149,7 +150,9 @@ def run(job: Job, send: Callable[[Event], None]) -> int:
         _evaluate(job, send)
     except MemoryError:
         raise
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is told and the process ends
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENOMEM:  # mapping a file says it this way
+            raise MemoryError from error
         traceback.print_exc()  # to the worker's log
         send(Broken(detail=_describe(error)))
     return 0

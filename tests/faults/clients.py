@@ -52,7 +52,7 @@ def send_one(deployment: Deployment, method: str) -> str:
 class Clients:
     """Several participants at once, until they are told to stop."""
 
-    def __init__(self, deployment: Deployment, *, seed: int, count: int = 3, pause_s: float = 0.4) -> None:
+    def __init__(self, deployment: Deployment, *, seed: int, count: int = 3, pause_s: float = 1.0) -> None:
         """Start sending."""
         self.accepted: dict[str, bool] = {}
         """Id of every 202 -> whether its predictions have errors."""
