@@ -1,6 +1,5 @@
 """Security headers on every answer, as plain ASGI: nothing is buffered, streams stay streams."""
 
-from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 CONTENT_SECURITY_POLICY = "; ".join(  # noqa: FLY002 - one directive a line can be read
@@ -26,6 +25,9 @@ HEADERS = {
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
 
+_PLAIN = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
+_SECURE = [*_PLAIN, (b"strict-transport-security", b"max-age=31536000")]
+
 
 class SecurityHeaders:
     """Adds the headers to whatever the application answers."""
@@ -40,13 +42,13 @@ class SecurityHeaders:
             await self._app(scope, receive, send)
             return
 
+        ours = _SECURE if scope["scheme"] == "https" else _PLAIN
+
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    headers.setdefault(name, value)
-                if scope["scheme"] == "https":
-                    headers.setdefault("Strict-Transport-Security", "max-age=31536000")
+                headers = message["headers"]
+                set_already = {name for name, _ in headers}
+                message["headers"] = [*headers, *(header for header in ours if header[0] not in set_already)]
             await send(message)
 
         await self._app(scope, receive, send_with_headers)
