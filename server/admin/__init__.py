@@ -6,5 +6,7 @@ installation.py  init, migrate, serve, worker
 people.py        create-user, create-team, add-member, create-token
 benchmarks.py    create-benchmark, create-phase, import-ground-truth, grant
 submissions.py   requeue, publish, release, status
-demo.py          demo: a whole benchmark with three imaginary methods
+checking.py      check
+backups.py       backup, restore
+demo*.py         demo: a whole benchmark with three imaginary methods
 """

@@ -30,15 +30,22 @@ Subparsers = Any
 """argparse names the type of its sub parsers only privately."""
 
 
-def add(subparsers: Subparsers, name: str, run: Run) -> argparse.ArgumentParser:
-    """Add a command that `run` carries out; its docstring's first line is the help."""
+def add(subparsers: Subparsers, name: str, run: Run, *, needs_tables: bool = True) -> argparse.ArgumentParser:
+    """Add a command that `run` carries out; its docstring's first line is the help.
+
+    Args:
+        subparsers: Of the root parser.
+        name: What the user types.
+        run: What carries it out.
+        needs_tables: False for the commands that make the tables or do without.
+    """
     summary = (run.__doc__ or "").split("\n", maxsplit=1)[0]
     parser: argparse.ArgumentParser = subparsers.add_parser(name, help=summary, description=summary)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
         "--data-dir", metavar="FOLDER", help="the installation's folder (default: CS3D_DATA_DIR or ./data)"
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, needs_tables=needs_tables)
     return parser
 
 

@@ -25,7 +25,7 @@ HOST = "127.0.0.1"
 
 def add_commands(subparsers: Subparsers) -> None:
     """Add the command."""
-    parser = add(subparsers, "demo", demo)
+    parser = add(subparsers, "demo", demo, needs_tables=False)
     parser.set_defaults(data_dir="data/demo")
     parser.add_argument("--port", type=int, default=8000, help="port to listen on (default: %(default)s)")
     parser.add_argument("--exit", action="store_true", help="stop after the leaderboard instead of serving")

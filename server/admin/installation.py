@@ -16,12 +16,12 @@ from server.settings import Settings
 
 def add_commands(subparsers: Subparsers) -> None:
     """Add this module's commands."""
-    add(subparsers, "init", init)
-    add(subparsers, "migrate", migrate)
-    serving = add(subparsers, "serve", serve)
+    add(subparsers, "init", init, needs_tables=False)
+    add(subparsers, "migrate", migrate, needs_tables=False)
+    serving = add(subparsers, "serve", serve, needs_tables=False)
     serving.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
     serving.add_argument("--port", type=int, default=8000, help="port to listen on (default: %(default)s)")
-    working = add(subparsers, "worker", worker)
+    working = add(subparsers, "worker", worker, needs_tables=False)
     working.add_argument("--concurrency", type=int, metavar="N", help="submissions at a time (default: one per core)")
 
 

@@ -15,8 +15,9 @@ import structlog
 from rich.console import Console
 
 from evaluator.errors import BenchmarkError
-from server.admin import benchmarks, checking, demo, installation, people, submissions
+from server.admin import backups, benchmarks, checking, demo, installation, people, submissions
 from server.admin.command import REFUSED, WRONG_USAGE, Outcome
+from server.errors import Conflict
 from server.services import Services
 from server.settings import Settings
 
@@ -27,7 +28,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="cs3d-admin", description="Run a Cityscapes 3D benchmark server. Settings: docs/operating.md."
     )
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for part in (installation, people, benchmarks, submissions, checking, demo):
+    for part in (installation, people, benchmarks, submissions, checking, backups, demo):
         part.add_commands(subparsers)
     return parser
 
@@ -45,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BenchmarkError as error:
         return _refuse(args, error.code, str(error), WRONG_USAGE if error.code == "usage" else REFUSED)
     except sa.exc.OperationalError as error:
-        message = f"{error.orig}; is the database there and migrated? `cs3d-admin init` does both"
+        message = f"{error.orig}; start the database or mend CS3D_DATABASE_URL"
         return _refuse(args, "database", message, REFUSED)
 
 
@@ -53,6 +54,8 @@ def _run(args: argparse.Namespace, settings: Settings) -> int:
     """Carry a command out and print what it gives back."""
     services = Services.from_settings(settings)
     try:
+        if args.needs_tables and not sa.inspect(services.engine).has_table("alembic_version"):
+            raise Conflict("this installation has no tables yet; run `cs3d-admin init` first")
         outcome: Outcome = args.run(args, services)
     finally:
         services.close()

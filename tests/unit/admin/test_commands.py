@@ -251,3 +251,36 @@ def test_results_are_sentences_without_json(data_dir: Path, capsys: pytest.Captu
     capsys.readouterr()
     assert main(["create-benchmark", "cs3d", "--title", "T", "--data-dir", str(data_dir)]) == 0
     assert "cs3d-admin create-phase cs3d" in capsys.readouterr().out
+
+
+def test_a_backup_is_restored_elsewhere(
+    admin: Admin, services: Services, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The other installation has the same rows and passes the check; a second restore is refused."""
+    _populate(admin, tmp_path)
+    submission_id = _fail_one(services)
+    written = admin("backup", str(tmp_path / "backup"))
+    elsewhere = ["--data-dir", str(tmp_path / "elsewhere"), "--json"]
+    assert main(["restore", str(tmp_path / "backup"), *elsewhere]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == written["rows"]
+    assert main(["check", *elsewhere]) == 0
+    restored = Services.from_settings(Settings(data_dir=tmp_path / "elsewhere"))
+    with restored.snapshot() as session:
+        assert submissions.find(session, submission_id).state is SubmissionState.FAILED
+    assert main(["restore", str(tmp_path / "backup"), *elsewhere]) == 1
+
+
+def test_check_names_what_does_not_hold(
+    admin: Admin, services: Services, data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A blob deleted behind the record's back is found: status 1, with rule and digest."""
+    _populate(admin, tmp_path)
+    assert admin("check") == {"violations": []}
+    with services.snapshot() as session:
+        version = benchmarks.find_phase(session, "cs3d", "test").ground_truth
+        assert version is not None
+        sha256 = version.source_sha256
+    services.blobs.delete(sha256)
+    assert main(["check", "--quick", "--data-dir", str(data_dir), "--json"]) == 1
+    violations = json.loads(capsys.readouterr().out)["violations"]
+    assert ("every_row_has_its_blob", True) in {(found["rule"], sha256 in str(found)) for found in violations}
