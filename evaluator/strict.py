@@ -1,6 +1,5 @@
 """The strict reading: clean files fast to arrays, the others explained."""
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -109,15 +108,9 @@ class StrictReading:
             self._explain(batch.numbers[place], batch.data[place])
         evaluated = columns.evaluated()
         self.boxes += len(evaluated.score)
-        if len(evaluated.score) < len(columns.score):
-            self._count_left_out(batch.columns.labels)
+        for row in np.flatnonzero(columns.label_index == NOT_EVALUATED).tolist():
+            self._left_out[batch.columns.labels[row]] += 1
         return evaluated
-
-    def _count_left_out(self, labels: Sequence[str]) -> None:
-        """Count the boxes of known classes that are not evaluated."""
-        for label, count in Counter(labels).items():
-            if label in self._left_out:
-                self._left_out[label] += count
 
 
 class _Batch:
