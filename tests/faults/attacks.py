@@ -94,12 +94,8 @@ def restart_one_by_one(deployment: Deployment) -> None:
             service.wait_until_ready()
 
 
-OTHERS: tuple[Callable[[Deployment], None], ...] = (
-    flush_broker,
-    freeze_broker,
-    take_broker_away,
-    fill_disk,
-    freeze_worker,
-    restart_one_by_one,
-)
+OTHERS: dict[str, Callable[[Deployment], None]] = {
+    attack.__name__: attack
+    for attack in (flush_broker, freeze_broker, take_broker_away, fill_disk, freeze_worker, restart_one_by_one)
+}
 """What is done besides killing."""

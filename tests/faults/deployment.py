@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import sqlalchemy as sa
 
 from server import accounts, database
 from server.services import Services
@@ -69,6 +70,9 @@ class Deployment:
             service.start()
         self.services = Services.from_settings(Settings(data_dir=folder / "data", **TIMES, **self._places()))
         database.migrate(self.services.engine)
+        if sabotaged == "unique_key":
+            with self.services.transaction() as session:
+                session.execute(sa.text("ALTER TABLE score DROP CONSTRAINT uq_score_signature"))
         self.installation = Installation(services=self.services, broker=self.broker, folder=folder)
         self.installation.populate(submissions_per_day=100_000, rejections_per_day=100_000)
         self.token = self._create_token()

@@ -28,6 +28,9 @@ from tests.faults.sabotage import SABOTAGES
 from tests.faults.verdict import judge
 from tests.services.processes import wait_until
 
+PATIENCE_S = 300.0
+"""The participants make their submissions within this after the last attack."""
+
 RECOVERY_S = 90.0
 """After the last fault everything has to be done within this."""
 
@@ -54,47 +57,60 @@ def _shuffled(chance: random.Random, choices: tuple[str, ...]) -> Iterator[str]:
         yield from chance.sample(choices, len(choices))
 
 
-def attack(shape: str, *, seed: int, count: int, kills: int, sabotaged: str | None) -> Figures:
+@dataclass(frozen=True, kw_only=True)
+class Programme:
+    """What one shape goes through."""
+
+    seed: int
+    count: int
+    kills: int
+    attacks: tuple[str, ...]
+    sabotaged: str | None
+    recovery_s: float
+
+
+def attack(shape: str, programme: Programme) -> Figures:
     """Run one shape from its start to the verdict."""
     figures = Figures()
     with tempfile.TemporaryDirectory(prefix="cs3d-faults-") as folder:
-        deployment = Deployment(shape, Path(folder), sabotaged=sabotaged)
+        deployment = Deployment(shape, Path(folder), sabotaged=programme.sabotaged)
         try:
-            _run(deployment, figures, seed=seed, count=count, kills=kills)
+            _run(deployment, figures, programme)
         finally:
             deployment.close()
     return figures
 
 
-def _run(deployment: Deployment, figures: Figures, *, seed: int, count: int, kills: int) -> None:
-    chance = random.Random(seed)  # noqa: S311 - a plan, not a secret
+def _run(deployment: Deployment, figures: Figures, programme: Programme) -> None:
+    chance = random.Random(programme.seed)  # noqa: S311 - a plan, not a secret
     figures.broken += attacks.calm(deployment)
-    clients = Clients(deployment, seed=seed)
+    clients = Clients(deployment, seed=programme.seed)
     try:
         targets = tuple(name for name in TARGETS if name != "database" or deployment.database)
         plan = plan_kills(chance, targets)
-        while figures.kills < kills:
+        while figures.kills < programme.kills:
             point, target = next(plan)
             done = attacks.kill_at(deployment, point, target, index=chance.randrange(2))
             figures.kills += done
             _say(f"{deployment.shape}: {target} {'killed' if done else 'was not there'} at {point}")
-        for fault in attacks.OTHERS:
-            fault(deployment)
-            _say(f"{deployment.shape}: {fault.__name__}")
-        wait_until(lambda: len(clients.accepted) >= count, timeout_s=120, what=f"{count} submissions")
+        for name in programme.attacks:
+            attacks.OTHERS[name](deployment)
+            _say(f"{deployment.shape}: {name}")
+        enough = programme.count
+        wait_until(lambda: len(clients.accepted) >= enough, timeout_s=PATIENCE_S, what=f"{enough} submissions")
     finally:
         clients.stop()
     deployment.revive()
     deployment.wait_until_ready()
-    figures.broken += _settle(deployment)
+    figures.broken += _settle(deployment, programme.recovery_s)
     figures.broken += judge(deployment, clients)
     _count(deployment, figures)
 
 
-def _settle(deployment: Deployment) -> Iterator[str]:
+def _settle(deployment: Deployment, recovery_s: float) -> Iterator[str]:
     """Wait until nothing is on its way, without helping."""
     try:
-        wait_until(lambda: not _unfinished(deployment), timeout_s=RECOVERY_S, what="the end of every submission")
+        wait_until(lambda: not _unfinished(deployment), timeout_s=recovery_s, what="the end of every submission")
     except TimeoutError:
         for submission_id, state in _unfinished(deployment):
             yield f"{submission_id} is stuck in {state}"
@@ -129,18 +145,22 @@ def main() -> int:
     shapes = [arguments.shape] if arguments.shape else ["embedded", "scale_out"]
     _say(f"seed {arguments.seed}")
     began_s = time.monotonic()
-    share = (count // len(shapes), kills // len(shapes))
-    results = [
-        attack(shape, seed=arguments.seed, count=share[0], kills=share[1], sabotaged=arguments.sabotage)
-        for shape in shapes
-    ]
+    programme = Programme(
+        seed=arguments.seed,
+        count=count // len(shapes),
+        kills=kills // len(shapes),
+        attacks=tuple(arguments.attacks.split(",")) if arguments.attacks else (),
+        sabotaged=arguments.sabotage,
+        recovery_s=arguments.recovery,
+    )
+    results = [attack(shape, programme) for shape in shapes]
     broken = [line for figures in results for line in figures.broken]
     for line in broken:
         _say(f"BROKEN {line}")
     total = {name: sum(getattr(figures, name) for figures in results) for name in FIGURES}
     _say(
         f"Seed {arguments.seed}: {total['submissions']} submissions, {total['kills']} kills and"
-        f" {len(attacks.OTHERS) * len(shapes)} other faults in {time.monotonic() - began_s:.0f} s on"
+        f" {len(programme.attacks) * len(shapes)} other faults in {time.monotonic() - began_s:.0f} s on"
         f" {' and '.join(shapes)}: {total['scored']} scored once, {total['rejected']} rejected,"
         f" {total['attempts_lost']} attempts lost or returned, {len(broken)} promises broken."
     )
@@ -157,5 +177,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--shape", choices=("embedded", "scale_out"), help="only this one")
     parser.add_argument("--submissions", type=int, help="another number of submissions")
     parser.add_argument("--kills", type=int, help="another number of kills")
+    parser.add_argument("--attacks", default=",".join(attacks.OTHERS), help="what is done besides killing")
+    parser.add_argument("--recovery", type=float, default=RECOVERY_S, help="seconds until everything must be done")
     parser.add_argument("--sabotage", choices=sorted(SABOTAGES), help="take a safeguard out: the run has to fail")
     return parser.parse_args()
