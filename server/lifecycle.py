@@ -11,16 +11,14 @@ does. Each change writes its audit event in the same transaction. The database r
 """
 
 import uuid
-from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, cast
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from evaluator.integrity import IntegrityAudit
-from evaluator.results import Scores
 from server import audit, database, integrity, quota, ranking
+from server.claims import Claim, Result
 from server.errors import IllegalTransition, LeaseLost
 from server.models import Attempt, AttemptOutcome, Score, Submission, SubmissionState
 
@@ -41,39 +39,6 @@ TRANSITIONS: dict[SubmissionState, frozenset[SubmissionState]] = {
 
 ATTEMPTS_EXHAUSTED = "attempts_exhausted"
 """Failure code: the worker was lost as often as the phase allows."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Claim:
-    """A worker's hold on a submission: everything it needs to know, and the fence for everything it writes."""
-
-    submission_id: uuid.UUID
-    attempt: int
-    """The fence."""
-    worker: str
-    lease_s: float
-    validated: bool
-    """True: the submission is in `scoring`; False: it stays `received` until `validated` is called."""
-    predictions_sha256: str
-    ground_truth_id: int
-    ground_truth_sha256: str
-    image_list_sha256: str
-    protocol: str
-
-    @property
-    def actor(self) -> str:
-        """Name the worker in the audit trail."""
-        return f"worker:{self.worker}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
-    """What a worker brings back. The digests name blobs that are in the store and recorded."""
-
-    scores: Scores
-    scores_sha256: str
-    statistics_sha256: str | None
-    integrity: IntegrityAudit
 
 
 def claim(session: Session, submission_id: uuid.UUID, *, worker: str, lease_s: float) -> Claim | None:

@@ -22,8 +22,8 @@ from evaluator.integrity import IntegrityAudit
 from evaluator.results import Scores
 from server import lifecycle, mail
 from server.blobs import record_blob
+from server.claims import Claim, Result
 from server.errors import LeaseLost, NotFound, ServerError, Unavailable
-from server.lifecycle import Claim, Result
 from server.models import SubmissionState
 from server.services import Services
 from worker.child import EXIT_MEMORY, Broken, Event, Exit, Job, Progress, Rejected, Scored, Validated

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from server import lifecycle, submissions, sweeper
-from server.lifecycle import Claim
+from server.claims import Claim
 from server.models import Score, Submission
 from server.queue import Queue
 from server.settings import Settings

@@ -12,8 +12,9 @@ from sqlalchemy.orm import Session
 
 from server import audit, database, lifecycle
 from server.blobs import record_blob
+from server.claims import Claim
 from server.errors import IllegalTransition, LeaseLost
-from server.lifecycle import TRANSITIONS, Claim
+from server.lifecycle import TRANSITIONS
 from server.models import Attempt, AttemptOutcome, AuditEvent, QuotaEntry, QuotaKind, Submission, SubmissionState
 from tests.services.installation import Installation
 
