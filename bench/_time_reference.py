@@ -2,7 +2,8 @@
 
     python _time_reference.py GT_FOLDER PREDICTION_FOLDER RESULT_FILE
 
-Prints the seconds from prediction files to results; reading the ground truth and importing are not counted.
+Prints the seconds and processor seconds from prediction files to results; reading the ground truth and importing are
+not counted.
 """
 
 import json
@@ -23,10 +24,10 @@ def main() -> None:
     evaluator = reference.Box3dEvaluator(reference.EvaluationParameters(LABELS))
     evaluator.checkCw()
     evaluator.loadGT(gt_folder)
-    start = time.perf_counter()
+    start, processor_start = time.perf_counter(), time.process_time()
     evaluator.loadPredictions(prediction_folder)
     evaluator.evaluate()
-    print(time.perf_counter() - start)
+    print(time.perf_counter() - start, time.process_time() - processor_start)
     Path(result_file).write_text(json.dumps(evaluator.results), encoding="utf-8")
 
 

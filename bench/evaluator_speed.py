@@ -72,18 +72,21 @@ def _compare(folder: Path, files: dict[str, bytes], boxes: int, python: Path | N
     size = sum(map(len, predictions.values())) / 1e6
     print(f"\n{boxes} predictions per image: {size:.0f} MB of JSON, {path.stat().st_size / 1e6:.0f} MB zip")
     measured = {what: _measure(what, folder, path) for what in ("floor", "one", "two")}
-    floor_s = measured["floor"]["best_s"]
-    reference_s, expected = (None, None) if python is None else _reference(folder, path, python)
-    if reference_s is not None:
-        print(f"  reference            {reference_s:8.2f} s")
+    reference, expected = ((0.0, 0.0), None) if python is None else _reference(folder, path, python)
+    print(f"  {'':20} seconds  median  processor  x floor  peak MB  x reference, by seconds (by processor)")
+    if python is not None:
+        print(f"  {'reference':20} {reference[0]:7.2f}          {reference[1]:9.2f}")
     for what, title in (("floor", "floor"), ("one", "ours, one process"), ("two", "ours, two processes")):
         values = measured[what]
+        seconds, processor_s = values["best_s"], values["processor_s"]
         faster = (
-            "" if reference_s is None or what == "floor" else f"  {reference_s / values['best_s']:6.0f}x the reference"
+            f"{reference[0] / seconds:6.0f} ({reference[1] / processor_s:.0f})"
+            if reference[0] and what != "floor"
+            else ""
         )
         print(
-            f"  {title:20} {values['best_s']:8.3f} s (median {values['median_s']:.3f})"
-            f"  {values['best_s'] / floor_s:5.2f}x the floor  {values['peak_mb']:5.0f} MB{faster}"
+            f"  {title:20} {seconds:7.3f} {values['median_s']:7.3f}  {processor_s:9.3f}"
+            f"  {processor_s / measured['floor']['processor_s']:7.2f}  {values['peak_mb']:7.0f}  {faster}"
         )
     if expected is None:
         return True
@@ -113,8 +116,8 @@ def _pin() -> None:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
-def _reference(folder: Path, path: Path, python: Path) -> tuple[float, Any]:
-    """Return the reference's seconds and results."""
+def _reference(folder: Path, path: Path, python: Path) -> tuple[tuple[float, float], Any]:
+    """Return the reference's seconds and processor seconds, and its results."""
     for name, source in (("gt", folder / "gt.zip"), ("pred", path)):
         with zipfile.ZipFile(source) as archive:
             archive.extractall(folder / path.stem / name)
@@ -130,7 +133,8 @@ def _reference(folder: Path, path: Path, python: Path) -> tuple[float, Any]:
         result,
     ]
     done = subprocess.run(command, cwd=folder, capture_output=True, check=True)
-    return float(done.stdout.split()[-1]), json.loads(result.read_text())
+    seconds, processor_s = map(float, done.stdout.split()[-2:])
+    return (seconds, processor_s), json.loads(result.read_text())
 
 
 def _command(folder: Path, boxes: int) -> None:
