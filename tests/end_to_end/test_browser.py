@@ -1,5 +1,6 @@
 """A researcher at a browser: log in, upload, see it scored, publish, see it on the leaderboard. Real server, real worker."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,7 +134,7 @@ def test_pages_are_accessible_and_fit_a_phone(stage: Stage, scheme: str) -> None
                 wider = [f"{visitor.width_px()} px wide"] if visitor.width_px() > viewport["width"] else []
                 if problems := [*visitor.barriers(), *wider]:
                     found[name, size] = problems
-    assert found == {}
+    assert not found, json.dumps({f"{name} {size}": problems for (name, size), problems in found.items()}, indent=1)
 
 
 def test_keyboard_reaches_the_content_and_the_forms(stage: Stage) -> None:
