@@ -22,6 +22,15 @@ HOST = "127.0.0.1"
 APPLICATION = "server.web:application"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Memory:
+    """What a process occupies."""
+
+    own_bytes: int
+    """Resident and its own: without pages of files, which the kernel takes back when it needs them."""
+    resident_bytes: int
+
+
 class WebServer(Service):
     """uvicorn as the embedded shape starts it, with our application or another one under the same settings."""
 
@@ -51,9 +60,10 @@ class WebServer(Service):
             raise RuntimeError("the web server does not run")
         return self.process.pid
 
-    def rss_bytes(self) -> int:
+    def memory(self) -> Memory:
         """Memory that it occupies."""
-        return int(psutil.Process(self.pid).memory_info().rss)
+        info = psutil.Process(self.pid).memory_info()
+        return Memory(own_bytes=info.rss - info.shared, resident_bytes=info.rss)
 
 
 @dataclass(frozen=True, slots=True)

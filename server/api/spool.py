@@ -63,6 +63,7 @@ class Spool:
         self._limits = limits
         self._digest = hashlib.sha256()
         self._buffer = bytearray()
+        self._writing: list[asyncio.Task[None]] = []
         self.size_bytes = 0
 
     async def __aenter__(self) -> Self:
@@ -73,9 +74,13 @@ class Spool:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         """Delete the file; a blob store that took it over has moved or copied it."""
-        self._file.close()
-        with suppress(FileNotFoundError):
-            self.path.unlink()
+        try:
+            # A thread that still writes must not meet another file under this descriptor.
+            await asyncio.gather(*self._writing, return_exceptions=True)
+        finally:
+            self._file.close()
+            with suppress(FileNotFoundError):
+                self.path.unlink()
 
     async def write(self, chunk: bytes) -> None:
         """Append bytes.
@@ -94,12 +99,20 @@ class Spool:
     async def finish(self) -> SpooledFile:
         """Write what is buffered and close the file."""
         await self._flush()
+        await self._written()
         self._file.close()
         return SpooledFile(self.path, self._digest.hexdigest(), self.size_bytes)
 
     async def _flush(self) -> None:
+        """Let a thread hash and write what is buffered, while the next block arrives."""
+        await self._written()
         block, self._buffer = self._buffer, bytearray()
-        await run_in_threadpool(self._store, block)
+        self._writing.append(asyncio.create_task(run_in_threadpool(self._store, block)))
+
+    async def _written(self) -> None:
+        """Wait for the block before; its error, if any, is raised here."""
+        await asyncio.gather(*self._writing)
+        self._writing.clear()
 
     def _store(self, block: bytearray) -> None:
         self._digest.update(block)
