@@ -72,7 +72,7 @@ class Programme:
 def attack(shape: str, programme: Programme) -> Figures:
     """Run one shape from its start to the verdict."""
     figures = Figures()
-    with tempfile.TemporaryDirectory(prefix="cs3d-faults-") as folder:
+    with tempfile.TemporaryDirectory(prefix="cs3d-faults-", ignore_cleanup_errors=True) as folder:
         deployment = Deployment(shape, Path(folder), sabotaged=programme.sabotaged)
         try:
             _run(deployment, figures, programme)

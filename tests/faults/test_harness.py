@@ -34,4 +34,4 @@ def test_a_missing_safeguard_is_noticed(sabotage: str) -> None:
         check=False,
     )
     assert run.returncode == 1, run.stdout + run.stderr
-    assert complaint in run.stdout
+    assert complaint in run.stdout, run.stderr

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-READY_S = 30.0
+READY_S = 90.0
 
 
 def free_port() -> int:
