@@ -36,6 +36,7 @@ OLDEST, NEWEST = (3, 11), (3, 13)
 SYSTEM_PACKAGES = {
     "chromium": ("chromium", "chromium-browser", "google-chrome"),
     "redis-server": ("redis-server",),
+    "npm": ("npm",),
     "postgresql": ("/usr/lib/postgresql/*/bin/initdb", "initdb"),
 }
 """Package that tests need -> commands or files, any of which shows that it is there."""

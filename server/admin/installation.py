@@ -75,12 +75,14 @@ def worker(args: argparse.Namespace, services: Services) -> Outcome:
 @contextmanager
 def until_asked_to_stop() -> Iterator[None]:
     """Run a block that Ctrl-C and SIGTERM end; both are the ordinary way to stop, not errors."""
-    before = signal.signal(signal.SIGTERM, _interrupt)
+    # SIGINT too: a shell starts background jobs with it ignored, and Python then leaves it so.
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with suppress(KeyboardInterrupt):
             yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _interrupt(number: int, frame: object) -> Never:
