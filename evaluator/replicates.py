@@ -14,7 +14,7 @@ from evaluator.average_precision import average_precision, precision_and_recall,
 from evaluator.errors import UsageError
 from evaluator.predictions import Float64Array
 from evaluator.protocol import PAPER
-from evaluator.resampling import WeightArray
+from evaluator.resampling import Weighting, total, total_of
 from evaluator.statistics import Statistics
 from evaluator.thresholds import count_by_group, has_threshold
 from evaluator.true_positive_metrics import mean_over_bins
@@ -37,12 +37,12 @@ class Replicates:
     """(R, C) threshold index of the working point."""
 
 
-def replicate(statistics: Statistics, weights: WeightArray) -> Replicates:
+def replicate(statistics: Statistics, weights: Weighting) -> Replicates:
     """Compute all scores for each weighting.
 
     Args:
         statistics: Outcomes of I images under a protocol of the family `cityscapes3d`.
-        weights: (R, I) how often each image counts.
+        weights: (R, I) how often each image counts, or the jackknife.
 
     Returns:
         The replicates.
@@ -63,7 +63,7 @@ def replicate(statistics: Statistics, weights: WeightArray) -> Replicates:
     return Replicates(classes, _mean_over_classes(classes), working)
 
 
-def _weighted_counts(statistics: Statistics, weights: WeightArray) -> tuple[Float64Array, Float64Array, Float64Array]:
+def _weighted_counts(statistics: Statistics, weights: Weighting) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return true and false positives (R, C, T) and ground truth (R, C) under each weighting.
 
     Single precision is exact here: these are sums of whole numbers far below 2^24.
@@ -73,19 +73,19 @@ def _weighted_counts(statistics: Statistics, weights: WeightArray) -> tuple[Floa
 
     def weighted(image: NDArray[np.int32], cell: NDArray[np.int32], masks: NDArray[np.uint64]) -> Float64Array:
         by_image = count_by_group(image * classes + cell // bins, masks, images * classes, thresholds)
-        total = weights @ by_image.reshape(images, -1).astype(np.float32)
-        return np.asarray(total.reshape(-1, classes, thresholds).astype(np.float64))
+        counts = total(weights, by_image.reshape(images, -1).astype(np.float32))
+        return np.asarray(counts.reshape(-1, classes, thresholds).astype(np.float64))
 
     of_image = statistics.ground_truth_image * classes + statistics.ground_truth_cell // bins
     ground_truth = np.bincount(of_image, minlength=images * classes).reshape(images, classes)
     return (
         weighted(statistics.pair_image, statistics.pair_cell, statistics.pair_masks),
         weighted(statistics.false_positive_image, statistics.false_positive_cell, statistics.false_positive_masks),
-        np.asarray((weights @ ground_truth.astype(np.float32)).astype(np.float64)),
+        np.asarray(total(weights, ground_truth.astype(np.float32)).astype(np.float64)),
     )
 
 
-def _similarities(statistics: Statistics, weights: WeightArray, working: NDArray[np.intp]) -> Float64Array:
+def _similarities(statistics: Statistics, weights: Weighting, working: NDArray[np.intp]) -> Float64Array:
     """Return (R, C, 4) similarities at the working points.
 
     Resamples that chose the same working point for a class share the sums of each image.
@@ -96,9 +96,11 @@ def _similarities(statistics: Statistics, weights: WeightArray, working: NDArray
         for threshold in np.unique(working[:, label]):
             rows = np.flatnonzero(working[:, label] == threshold)
             images, sums = _sums_by_image(statistics, label, int(threshold))
-            chosen = weights[rows][:, images].astype(np.float64)
-            total = np.tensordot(chosen, sums, axes=1)
-            result[rows, label] = mean_over_bins(total[..., :-1], total[..., -1])
+            flat = sums.reshape(len(images), sums.shape[1] * sums.shape[2])
+            chosen = total_of(weights, rows, images, flat).reshape(-1, *sums.shape[1:])
+            result[rows, label] = mean_over_bins(
+                chosen[..., :-1].astype(np.float64), chosen[..., -1].astype(np.float64)
+            )
     return result
 
 

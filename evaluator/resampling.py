@@ -5,7 +5,8 @@ resemble each other, all images of one sequence or city. Equal arguments give eq
 evaluated at different times, can be compared on the same ones.
 """
 
-from typing import Literal, get_args
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ Unit = Literal["image", "sequence", "city"]
 
 WeightArray = NDArray[np.float32]
 """(R, I) how often each resample holds each image: whole numbers."""
+FloatingArray = NDArray[np.floating[Any]]
 
 
 def bootstrap_weights(images: tuple[str, ...], *, resamples: int, seed: int, unit: Unit = "image") -> WeightArray:
@@ -40,11 +42,62 @@ def bootstrap_weights(images: tuple[str, ...], *, resamples: int, seed: int, uni
     return times[:, member].astype(np.float32)
 
 
-def jackknife_weights(images: tuple[str, ...], *, unit: Unit = "image") -> WeightArray:
-    """Leave out one unit at a time; (U, I) weights of 0 and 1."""
-    member = unit_index(images, unit)
-    units = int(member.max(initial=-1)) + 1
-    return np.asarray(np.arange(units)[:, None] != member[None], dtype=np.float32)
+@dataclass(frozen=True, slots=True)
+class LeaveOneOut:
+    """The jackknife: U data sets, each without one unit. Kept as it is, because subtracting is cheaper than weighting."""
+
+    member: IndexArray
+    """(I,) the unit of each image."""
+
+    @property
+    def units(self) -> int:
+        """Number of units, U."""
+        return int(self.member.max(initial=-1)) + 1
+
+
+def leave_one_out(images: tuple[str, ...], *, unit: Unit = "image") -> LeaveOneOut:
+    """Leave out one unit at a time."""
+    return LeaveOneOut(unit_index(images, unit))
+
+
+Weighting = WeightArray | LeaveOneOut
+
+
+def total(weighting: Weighting, values: FloatingArray) -> FloatingArray:
+    """Sum up values of images under each weighting.
+
+    Args:
+        weighting: R weightings of I images.
+        values: (I, K).
+
+    Returns:
+        (R, K), in the precision of the values.
+    """
+    if isinstance(weighting, LeaveOneOut):
+        every = np.arange(len(values))
+        return total_of(weighting, np.arange(weighting.units), every, values)
+    return np.asarray(weighting.astype(values.dtype, copy=False) @ values)
+
+
+def total_of(
+    weighting: Weighting, rows: NDArray[np.intp], images: NDArray[np.intp], values: FloatingArray
+) -> FloatingArray:
+    """Do the same for some of the weightings and some of the images.
+
+    Args:
+        weighting: R weightings of I images.
+        rows: (S,) which weightings.
+        images: (J,) which images have values; the others count as 0.
+        values: (J, K).
+
+    Returns:
+        (S, K).
+    """
+    if not isinstance(weighting, LeaveOneOut):
+        return np.asarray(weighting[rows][:, images].astype(values.dtype) @ values)
+    of_unit = np.zeros((weighting.units, values.shape[1]), dtype=values.dtype)
+    np.add.at(of_unit, weighting.member[images], values)
+    return np.asarray(values.sum(axis=0) - of_unit[rows])
 
 
 def unit_index(images: tuple[str, ...], unit: Unit) -> IndexArray:

@@ -14,7 +14,7 @@ import numpy as np
 from evaluator.errors import UsageError
 from evaluator.predictions import Float64Array
 from evaluator.replicates import MEANS, METRICS, Replicates, replicate
-from evaluator.resampling import Unit, bootstrap_weights, jackknife_weights
+from evaluator.resampling import Unit, bootstrap_weights, leave_one_out
 from evaluator.statistics import Statistics
 
 RESAMPLES = 1000
@@ -83,7 +83,7 @@ def intervals(
     estimate = _table(replicate(statistics, np.ones((1, len(images)), dtype=np.float32)))[0]
     drawn = _table(replicate(statistics, bootstrap_weights(images, resamples=resamples, seed=seed, unit=unit)))
     if method == "bca":
-        left_out = _table(replicate(statistics, jackknife_weights(images, unit=unit)))
+        left_out = _table(replicate(statistics, leave_one_out(images, unit=unit)))
         bounds = [bca_bounds(estimate[i], drawn[:, i], left_out[:, i], level) for i in range(len(estimate))]
     else:
         bounds = [_quantiles(drawn[:, i], *_tails(level)) for i in range(len(estimate))]

@@ -11,7 +11,7 @@ from evaluator.ground_truth import read_ground_truth
 from evaluator.parallel import ground_truth_of
 from evaluator.protocol import CITYSCAPES3D
 from evaluator.replicates import MEANS, METRICS, replicate
-from evaluator.resampling import bootstrap_weights, jackknife_weights, unit_index
+from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, unit_index
 from evaluator.results import Scores
 from evaluator.statistics import Statistics
 from evaluator.uncertainty import (
@@ -94,7 +94,21 @@ def test_clusters_are_drawn_whole() -> None:
     assert unit_index(images, "city").tolist() == [0, 0, 0, 1]
     weights = bootstrap_weights(images, resamples=30, seed=1, unit="city")
     assert np.array_equal(weights[:, 0], weights[:, 2])
-    assert jackknife_weights(images, unit="city").tolist() == [[0, 0, 0, 1], [1, 1, 1, 0]]
+
+
+@pytest.mark.parametrize("unit", ["image", "sequence", "city"])
+def test_the_jackknife_equals_weights_of_zero_for_one_unit(evaluation: Evaluation, unit: Unit) -> None:
+    """Subtracting a unit gives what weighting it with 0 gives, in every metric."""
+    statistics = evaluation.statistics
+    member = unit_index(statistics.images, unit)
+    weights = (np.arange(member.max() + 1)[:, None] != member).astype(np.float32)
+
+    expected, found = (
+        replicate(statistics, weighting) for weighting in (weights, leave_one_out(statistics.images, unit=unit))
+    )
+
+    assert np.allclose(found.classes, expected.classes, rtol=0, atol=1e-12, equal_nan=True)
+    assert np.array_equal(found.working_index, expected.working_index)
 
 
 @pytest.mark.parametrize("method", ["percentile", "bca"])
