@@ -4,13 +4,12 @@ It never explains: whatever is not clean here is looked at again, slowly, by `ex
 """
 
 import gc
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
 from typing import Any
 
 import msgspec
-import numpy as np
 from msgspec import UNSET, Struct, UnsetType, field
 
 Triple = tuple[float, float, float]
@@ -74,19 +73,19 @@ def decode(data: bytes) -> list[Box] | None:
         return None
 
 
-def keys_are_expected(files: Sequence[bytes], boxes: int, modal: int) -> bool:
-    """Prove for decoded files that every expected key is there exactly once and no other, by counting colons.
+def keys_are_expected(*, colons: int, files: int, boxes: int, modal: int) -> bool:
+    """Prove for decoded files that every expected key is there exactly once and no other.
 
     Decoding found each required key at least once, and each takes a colon. So with as many colons in all the files
     as expected, no file has room for a second one, nor for anything else.
 
     Args:
-        files: the bytes of files that `decode` took.
+        colons: how many colons the files have together.
+        files: how many files there are, all taken by `decode`.
         boxes: how many boxes they hold.
         modal: how many of these have a modal box.
     """
-    colons = np.count_nonzero(np.frombuffer(b"".join(files), dtype=np.uint8) == ord(":"))
-    return int(colons) == len(files) + _KEYS_PER_BOX * boxes + modal
+    return colons == files + _KEYS_PER_BOX * boxes + modal
 
 
 def extra_keys_are_clean(data: bytes, depth_limit: int) -> bool:

@@ -100,7 +100,8 @@ class StrictReading:
     def _finish(self, batch: "_Batch") -> Columns:
         """Turn a batch into arrays and explain the files with keys or values that are not as they should be."""
         columns = batch.columns.build(batch.image_index)
-        if not keys_are_expected(batch.data, len(batch.columns), batch.columns.modal):
+        boxes, modal = len(batch.columns), batch.columns.modal
+        if not keys_are_expected(colons=batch.colons, files=len(batch.data), boxes=boxes, modal=modal):
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
@@ -123,6 +124,7 @@ class _Batch:
         self.data: list[bytes] = []
         self.images: list[int] = []
         self.counts: list[int] = []
+        self.colons = 0
         self._bytes = 0
 
     def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box]) -> None:
@@ -132,6 +134,7 @@ class _Batch:
         self.data.append(data)
         self.images.append(image)
         self.counts.append(len(boxes))
+        self.colons += data.count(b":")
         self._bytes += len(data)
 
     @property

@@ -36,7 +36,9 @@ def _fast_path_is_content(data: bytes) -> bool:
     builder = ColumnBuilder(_LABELS)
     builder.add(boxes)
     columns = builder.build(np.zeros(len(boxes), dtype=np.int32))
-    expected = keys_are_expected([data], len(boxes), builder.modal) or extra_keys_are_clean(data, LIMITS.json_depth)
+    expected = keys_are_expected(
+        colons=data.count(b":"), files=1, boxes=len(boxes), modal=builder.modal
+    ) or extra_keys_are_clean(data, LIMITS.json_depth)
     return expected and not columns.rows_to_explain().any()
 
 
