@@ -50,17 +50,30 @@ def test_every_answer_is_documented(site: Site, archive: bytes, score: Callable[
         sent = send(client, archive).json()
         score(sent["id"])
         client.post(f"{own(sent)}/publication", json={"publication": "published"})
+        upload = client.post(
+            "/api/v1/uploads",
+            params={"benchmark": "cs3d", "phase": "test", "method": "ours"},
+            headers={"Upload-Length": "1000"},
+        ).json()["id"]
     headers = {"Authorization": f"Bearer {token}"} if known else {}
     for operation in operations(site):
 
         @BOUNDED
         @_given(operation)
         def check(case: Any) -> None:
-            if "submission_id" in (case.path_parameters or {}):
-                case.path_parameters["submission_id"] = sent["id"]
+            if known:
+                _point_at(
+                    case, {"submission_id": sent["id"], "upload_id": upload, "benchmark": "cs3d", "phase": "test"}
+                )
             case.call_and_validate(headers=headers, checks=CHECKS)
 
         check()
+
+
+def _point_at(case: Any, real: dict[str, str]) -> None:
+    """Make a generated request be about things that exist, so that it gets further than to 404."""
+    for values in (case.path_parameters or {}, case.query or {}):
+        values.update({name: value for name, value in real.items() if name in values})
 
 
 def _given(operation: Any) -> Callable[[Callable[[Any], None]], Callable[[], None]]:
