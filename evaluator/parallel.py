@@ -1,8 +1,8 @@
 """Evaluation of a submission's file with the work split by image over two processes.
 
 Both halves are read and matched at the same time; their statistics are joined, bit for bit what one process gives.
-Only clean submissions go this way to the end: whatever has errors is read once more in one piece, so that there is
-one report and one place that writes it.
+Only clean submissions go this way to the end: whatever has errors, or looks like a mistake in either half, is read
+once more in one piece, so that there is one report and one place that writes it.
 """
 
 import os
@@ -19,6 +19,7 @@ import numpy as np
 from evaluator.archive import digest, open_source
 from evaluator.codes import Code
 from evaluator.decoding import garbage_collection_paused
+from evaluator.doctor import examine
 from evaluator.evaluation import evaluate, match_by_protocol, score_by_protocol, signature_of
 from evaluator.findings import Findings
 from evaluator.ground_truth import GroundTruth
@@ -31,6 +32,9 @@ from evaluator.report import ProblemGroup, Report
 from evaluator.results import Scores
 from evaluator.statistics import Statistics, collect, join
 from evaluator.strict import StrictReading
+
+_FEWEST_BOXES = 400
+"""In all; with fewer, half of them may be too few to recognise a mistake by, and one process is as fast."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +113,7 @@ def _evaluate_in_halves(
             first = _evaluate_half(reading, findings, ground_truth, protocol, slice(0, middle))
             sha256 = digest(source)
             second = answer.receive()
-    if first is None or second is None:
+    if first is None or second is None or first.boxes + second.boxes < _FEWEST_BOXES:
         return None
     statistics = join([first.statistics, second.statistics])
     signature = signature_of(protocol, ground_truth_sha256, sha256)
@@ -129,6 +133,7 @@ def _evaluate_half(
     reading.assigned = reading.assigned[part]
     predictions = _predictions_of(reading.read(None), part)
     truth = ground_truth_of(ground_truth, part)
+    examine(predictions, images=truth.image_list(), known_labels=reading.known_labels, findings=findings)
     found = {group.code: group for group in _groups(findings)}
     left_out = found.pop(Code.UNEVALUATED_LABEL.value, None)
     if len(found) != before or findings.error_count:

@@ -66,6 +66,23 @@ def test_an_error_in_the_second_half_gives_the_whole_report(ground_truth: Ground
     assert one.report == two.report
 
 
+@pytest.mark.parametrize("kept", [60, 3], ids=["every image", "few boxes"])
+def test_recognised_mistakes_are_said(ground_truth: GroundTruth, tmp_path: Path, kept: int) -> None:
+    """Quaternions written as x, y, z, w are warned of, whether both halves hold enough boxes or hardly any."""
+    changes = {}
+    for number, file in enumerate(sorted((CASE / "pred").iterdir())):
+        boxes = json.loads(file.read_bytes())["objects"] if number < kept else []
+        for box in boxes:
+            box["3d"]["rotation"] = [*box["3d"]["rotation"][1:], box["3d"]["rotation"][0]]
+        changes[file.name] = json.dumps({"objects": boxes}).encode()
+    source = _zip(tmp_path, changes)
+
+    one, two = (evaluate_file(source, ground_truth, CITYSCAPES3D, split=split) for split in (False, True))
+
+    assert "quaternion_xyzw" in {group.code for group in two.report.groups}
+    assert (one.scores, one.report) == (two.scores, two.report)
+
+
 def test_parts_of_the_ground_truth_hold_every_box_once(ground_truth: GroundTruth) -> None:
     """Splitting anywhere loses nothing and keeps each box with its image."""
     first, rest = ground_truth_of(ground_truth, slice(0, 7)), ground_truth_of(ground_truth, slice(7, None))
