@@ -1,6 +1,7 @@
 """Ground truth as arrays: cameras, boxes and ignore regions of a set of images; reading and storing it."""
 
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from itertools import chain
@@ -17,6 +18,8 @@ from evaluator.predictions import Float64Array, IndexArray
 
 _LISTED_PROBLEMS = 50
 """Problems printed one by one in an error message; the rest are counted."""
+_UNREADABLE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)
+"""What `zipfile` and the file system raise: damaged or encrypted members, unknown compression, no permission."""
 
 
 class GroundTruthError(DataError):
@@ -129,8 +132,15 @@ def read_ground_truth(source: Path) -> GroundTruth:
     Raises:
         GroundTruthError: Files are missing, unreadable or wrong; all of them are listed.
     """
-    with garbage_collection_paused():
-        return _read(source)
+    try:
+        with garbage_collection_paused():
+            return _read(source)
+    except _UNREADABLE as error:
+        raise GroundTruthError(
+            f"{source} cannot be read ({error}); pack it again with an ordinary zip program, without a password."
+            if source.is_file()
+            else f"{source} cannot be read ({error}); check its permissions."
+        ) from error
 
 
 def _read(source: Path) -> GroundTruth:

@@ -54,6 +54,20 @@ def test_citypersons_keys_go_first(tmp_path: Path) -> None:
     assert (found.amodal_px.tolist(), found.modal_px.tolist()) == ([[9, 9, 9, 9]], [[8, 8, 8, 8]])
 
 
+def test_a_damaged_zip_is_refused(tmp_path: Path) -> None:
+    """A member whose bytes are not what the archive says is an error of the ground truth that names the zip."""
+    path = tmp_path / "gt.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(NAME, json.dumps(_document()))
+    # The document starts behind the 30 bytes of the header and the name; its checksum no longer fits.
+    start = 30 + len(NAME)
+    data = path.read_bytes()
+    path.write_bytes(data[:start] + b"[" + data[start + 1 :])
+
+    with pytest.raises(GroundTruthError, match=r"gt\.zip cannot be read .*; pack it again"):
+        read_ground_truth(path)
+
+
 def test_a_zip_and_its_folder_are_equal(tmp_path: Path) -> None:
     """Sub folders, other suffixes and results.json beside the files make no difference."""
     path = tmp_path / "gt.zip"
