@@ -18,6 +18,7 @@ from starlette.responses import JSONResponse, Response
 from evaluator.errors import BenchmarkError
 from server.api import integrity, leaderboards, openapi, problems, sending, submissions, uploads
 from server.api.edge import Web, attach
+from server.api.head import AnswersHead
 from server.api.identity import Identities
 from server.api.polling import Polls, RepeatedPolls
 from server.api.spool import UploadGate, UploadLimits
@@ -66,6 +67,7 @@ def create_app(services: Services, *, limits: UploadLimits | None = None) -> Fas
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_unforeseen)
     app.add_middleware(RepeatedPolls, polls=web.polls, prefix=f"{API}/submissions/")
+    app.add_middleware(AnswersHead, own=f"{API}/uploads/")
     app.add_middleware(SecurityHeaders)
     return app
 

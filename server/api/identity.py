@@ -175,10 +175,12 @@ class Identities:
         self._failures.hit(limit, purpose, address)
 
     def _check_token(self, session: Session, secret: str, address: str) -> Token:
-        self.check_rate("token", address)
         try:
             return accounts.authenticate_token(session, secret)
         except NotAuthenticated:
+            # Only now: somebody else's wrong tokens from the same address (a proxy, a university) must not lock out a
+            # good one.
+            self.check_rate("token", address)
             self.count_failure("token", address)
             raise
 
