@@ -142,14 +142,21 @@ def _evenly_spread(predictions: Predictions) -> Float64Array:
 
 
 def _count_duplicates(predictions: Predictions) -> int:
-    """Count boxes that repeat an earlier one."""
+    """Count boxes that repeat an earlier one; none without boxes."""
+    if not len(predictions):
+        return 0
+    # Comparing whole rows is slow; a box whose first coordinate is unlike all others repeats none.
+    order = np.argsort(predictions.center_m[:, 0], kind="stable")
+    first_m = predictions.center_m[order, 0]
+    equal_to_next = first_m[1:] == first_m[:-1]
+    in_question = order[np.concatenate([equal_to_next, [False]]) | np.concatenate([[False], equal_to_next])]
     table = np.concatenate(
         [
-            predictions.image_index[:, None],
-            predictions.label_index[:, None],
-            predictions.center_m,
-            predictions.dimensions_m,
-            predictions.rotation,
+            predictions.image_index[in_question, None],
+            predictions.label_index[in_question, None],
+            predictions.center_m[in_question],
+            predictions.dimensions_m[in_question],
+            predictions.rotation[in_question],
         ],
         axis=1,
     )

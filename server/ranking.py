@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 import sqlalchemy as sa
-from sqlalchemy.orm import Session, joinedload
+from sqlalchemy.orm import Session, defer, joinedload
 
 from evaluator.results import Scores
 from server.models import Method, Phase, Publication, Score, Submission, SubmissionState, Team
@@ -73,6 +73,7 @@ def ranking_scores(session: Session, phase: Phase) -> dict[uuid.UUID, Score]:
         .options(
             joinedload(Score.submission).joinedload(Submission.method),
             joinedload(Score.submission).joinedload(Submission.team),
+            defer(Score.integrity),
         )
         .order_by(Score.id)
     )

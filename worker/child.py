@@ -103,6 +103,8 @@ def main() -> None:
 
 def _load_evaluator() -> None:
     """Import once what every job needs."""
+    import numpy.ma  # noqa: PLC0415, F401 - else NumPy loads it within every job, for `unique` of rows
+
     import evaluator.evaluation  # noqa: PLC0415 - after the network is gone, which needs a process without threads
     import evaluator.intake  # noqa: PLC0415
     import evaluator.integrity  # noqa: PLC0415, F401
