@@ -75,20 +75,17 @@ def _projected(rows: RowArray, ground_truth: GroundTruth, predictions: Predictio
     table: Float64Array = np.empty((len(rows), 11))
     table[:, 0], table[:, 1:4] = image, predictions.center_m[rows]
     table[:, 4:7], table[:, 7:] = predictions.dimensions_m[rows], predictions.rotation[rows]
-    distinct, position = np.unique(table, axis=0, return_inverse=True)
-    boxes = np.array(
-        [
-            projected_to_the_bit_px(
-                row[1:4],
-                row[4:7],
-                row[7:11],
-                ground_truth.intrinsics_px[int(row[0])],
-                ground_truth.sensor_from_vehicle[int(row[0])],
-            )
-            for row in distinct
-        ]
+    keys = [row.tobytes() for row in table]
+    distinct = {key: _projected_row(row, ground_truth) for key, row in dict(zip(keys, table, strict=True)).items()}
+    return through_width_and_height(np.array([distinct[key] for key in keys]).T)
+
+
+def _projected_row(row: Float64Array, ground_truth: GroundTruth) -> list[float]:
+    """Project one row of image, centre, dimensions, rotation."""
+    image = int(row[0])
+    return projected_to_the_bit_px(
+        row[1:4], row[4:7], row[7:11], ground_truth.intrinsics_px[image], ground_truth.sensor_from_vehicle[image]
     )
-    return through_width_and_height(boxes[position.ravel()].T)
 
 
 def through_width_and_height(boxes: Float64Array) -> Float64Array:
