@@ -11,6 +11,8 @@ if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from evaluator.results import Scores
 
 FORMATS = ("table", "json", "cityscapes")
+MOST_DEPTH_BINS = 10_000
+"""More only fill the memory: detections end at 10 km."""
 AUTOMATIC_WORKING_POINT = -1.0
 """The reference's way to ask for the best working point of each class."""
 
@@ -78,6 +80,8 @@ def protocol_from(args: argparse.Namespace) -> "Protocol":
     _require(0 <= protocol.min_iou < math.inf, "--min-iou must be a number of 0 or more.")
     _require(protocol.max_depth_m >= 1, "--max-depth must be at least 1 metre.")
     _require(protocol.depth_step_m >= 1, "--step-size must be at least 1 metre.")
+    bins = protocol.max_depth_m / protocol.depth_step_m
+    _require(bins <= MOST_DEPTH_BINS, f"--max-depth / --step-size must not exceed {MOST_DEPTH_BINS}.")
     _require(
         math.isfinite(protocol.working_point or 0.0), "--cw must be a score, or -1 for the best one of each class."
     )

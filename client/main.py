@@ -4,8 +4,10 @@ Exit status: 0 done, 1 the data has problems (a report is on stderr), 2 wrong us
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 
 from evaluator.errors import BenchmarkError
@@ -42,13 +44,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = build_parser(arguments[0] if arguments else None)
     args = parser.parse_args(arguments)
     try:
-        return int(import_module(COMMANDS[args.command]).run(args))
+        status = int(import_module(COMMANDS[args.command]).run(args))
+        sys.stdout.flush()
     except BenchmarkError as error:
         print(f"cs3d: {error}", file=sys.stderr)
         return WRONG_USAGE if error.code == "usage" else PROBLEMS_IN_DATA
     except BrokenPipeError:  # the reader of a pipe (head, less) closed it; nothing is wrong
-        sys.stderr.close()
+        _drop_output()
         return 0
+    except OSError as error:
+        _drop_output()
+        print(f"cs3d: {error}; check the paths, their permissions and the room on the disk.", file=sys.stderr)
+        return WRONG_USAGE
+    return status
+
+
+def _drop_output() -> None:
+    """Let what is still buffered go nowhere: at exit Python would try once more to write it, and fail."""
+    with suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

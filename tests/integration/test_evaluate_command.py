@@ -1,7 +1,10 @@
 """The command `cs3d evaluate`, from its arguments to its output and exit status."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +112,7 @@ def test_broken_ground_truth_lists_every_problem(tmp_path: Path, capsys: pytest.
         (["--min-iou", "nan"], "--min-iou"),
         (["--max-depth", "0"], "--max-depth"),
         (["--step-size", "0"], "--step-size"),
+        (["--max-depth", "5000000000"], "--step-size"),
         (["--cw", "nan"], "--cw"),
         (["-o", "/nowhere/results.json"], "Cannot write"),
     ],
@@ -127,6 +131,29 @@ def test_a_path_that_does_not_exist_is_wrong_usage(capsys: pytest.CaptureFixture
     assert main(["evaluate", "--gt", str(TINY / "gt"), "nowhere.zip"]) == 2
 
     assert "nowhere.zip does not exist" in capsys.readouterr().err
+
+
+def test_a_name_no_file_can_have_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever the file system refuses ends with status 2 and its own words, not with a traceback."""
+    assert main(["evaluate", "--gt", str(TINY / "gt"), "a" * 5000]) == 2
+
+    assert "File name too long" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("closed", "status"), [("pipe", 0), ("/dev/full", 2)])
+def test_output_nobody_takes_ends_without_a_traceback(closed: str, status: int) -> None:
+    """A closed pipe is no error; a full disk is one, and says so."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing) if closed == "pipe" else open(closed, "w") as output:  # noqa: PTH123 - like a descriptor
+        command = [sys.executable, "-m", "client.main", *_arguments(TINY)]
+        ended = subprocess.run(command, stdout=output, stderr=subprocess.PIPE, text=True, check=False)
+    if closed != "pipe":
+        os.close(writing)
+
+    assert ended.returncode == status
+    assert "Traceback" not in ended.stderr
+    assert ("No space left" in ended.stderr) == (status == 2)
 
 
 def test_missing_arguments_are_wrong_usage() -> None:
