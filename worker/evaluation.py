@@ -23,7 +23,7 @@ from evaluator.results import Scores
 from server import lifecycle, mail
 from server.blobs import record_blob
 from server.claims import Claim, Result
-from server.errors import LeaseLost, NotFound, ServerError, Unavailable
+from server.errors import LeaseLost, NotFound, ServerError, StorageFull, Unavailable
 from server.models import SubmissionState
 from server.services import Services
 from worker.child import EXIT_MEMORY, Broken, Event, Exit, Job, Progress, Rejected, Scored, Validated
@@ -49,9 +49,12 @@ def evaluate_submission(services: Services, sandbox: Sandbox, submission_id: uui
         attempt.fail("blob_missing", str(error))
     except SoftTimeLimitExceeded:
         attempt.lose("time_limit", "the worker's own time limit was reached")
-    except (ServerError, SandboxError, OSError) as error:
+    except (Unavailable, StorageFull) as error:
         log.warning("given_back", submission_id=str(submission_id), error=repr(error))
-        attempt.give_back(f"the worker lacked what it needs: {type(error).__name__}")
+        attempt.give_back(f"the worker lacked what it needs: {error.code}")
+    except (ServerError, SandboxError, OSError) as error:
+        log.exception("attempt_broke_down", submission_id=str(submission_id))
+        attempt.lose("worker_error", f"the worker broke down: {type(error).__name__}", again_at_once=False)
     finally:
         shutil.rmtree(attempt.folder, ignore_errors=True)
 
@@ -94,6 +97,7 @@ class _Attempt:
 
     def _job(self) -> Job:
         settings, blobs, held = self.services.settings, self.services.blobs, self.held
+        shutil.rmtree(self.folder, ignore_errors=True)  # a restored database may count an attempt a second time
         self.folder.mkdir(parents=True)
         return Job(
             predictions=str(blobs.local_path(held.predictions_sha256)),
@@ -182,14 +186,14 @@ class _Attempt:
             self._conclude(lambda session: lifecycle.fail(session, self.held, code=code, detail=detail))
             mail.tell_of_failure(self.services, self.held.submission_id)
 
-    def lose(self, code: str, detail: str) -> None:
-        """Count the attempt as lost; the submission is tried again at once, or fails at the phase's cap."""
+    def lose(self, code: str, detail: str, *, again_at_once: bool = True) -> None:
+        """Count the attempt as lost; the submission is tried again at once or by the sweeper, or fails at the cap."""
         states: list[SubmissionState] = []
         with _end_is_written_elsewhere():
             self._conclude(lambda session: states.append(lifecycle.lose(session, self.held, code=code, detail=detail)))
         if states and states[-1] is SubmissionState.FAILED:
             mail.tell_of_failure(self.services, self.held.submission_id)
-        elif states:
+        elif states and again_at_once:
             self.services.queue.enqueue(self.held.submission_id)
 
     def give_back(self, detail: str) -> None:

@@ -71,6 +71,17 @@ def test_rejected_uploads_have_a_cap_of_their_own(installation: Installation) ->
         installation.submit(enqueue=False)
 
 
+def test_cancelled_uploads_count_towards_the_cap_of_rejections(installation: Installation) -> None:
+    """Sending and cancelling costs nothing, but the bytes are kept: one rejected and one cancelled fill a cap of two."""
+    _set_rules(installation, rejections_per_day=2)
+    _reject(installation, installation.submit(enqueue=False))
+    cancelled = installation.submit(enqueue=False)
+    with installation.services.transaction() as session:
+        lifecycle.cancel(session, cancelled, actor="user:1")
+    with pytest.raises(TooManyRejections, match="cancelled"):
+        installation.submit(enqueue=False)
+
+
 def test_a_grant_allows_more(installation: Installation) -> None:
     """A maintainer's grant adds to what the team may send."""
     _set_rules(installation, submissions_per_day=0)
