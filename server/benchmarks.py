@@ -211,7 +211,8 @@ def enforce_ground_truth(session: Session, phase: Phase, version: GroundTruthVer
 
 
 def _published_without_score(session: Session, phase: Phase, version: GroundTruthVersion) -> int:
-    """Count the published submissions that would lose their row."""
+    """Count the published submissions that would lose their row; nobody publishes in the phase meanwhile."""
+    session.execute(sa.select(Phase.id).where(Phase.id == phase.id).with_for_update(key_share=True))
     scored = sa.exists().where(
         Score.submission_id == Submission.id,
         Score.ground_truth_id == version.id,

@@ -3,6 +3,8 @@
 The audit itself is the evaluator's (`evaluator/integrity.py`); here it meets the other submissions and the record.
 """
 
+import uuid
+
 import msgspec
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
@@ -30,7 +32,7 @@ def keep(session: Session, submission: Submission, score: Score, findings: Integ
         subject=audit.subject_of(submission),
         reasons=reasons,
         # For the maintainers, who alone read the trail: whose work it resembles is not the team's to know.
-        resembles=str(twin.submission_id) if twin else None,
+        resembles=str(twin) if twin else None,
     )
 
 
@@ -46,10 +48,11 @@ def release(session: Session, submission: Submission, actor: str) -> None:
     )
 
 
-def _twin(session: Session, submission: Submission, fingerprint: str) -> Score | None:
-    """Find the first score of another team in the same phase whose predictions are nearly the same."""
+def _twin(session: Session, submission: Submission, fingerprint: str) -> uuid.UUID | None:
+    """Find the first scored submission of another team in the same phase whose predictions are nearly the same."""
+    # The audits alone: the scores beside them are a hundred times as large, and this holds the writers' lock.
     query = (
-        sa.select(Score)
+        sa.select(Score.submission_id, Score.integrity)
         .join(Score.submission)
         .where(
             Submission.phase_id == submission.phase_id,
@@ -61,8 +64,8 @@ def _twin(session: Session, submission: Submission, fingerprint: str) -> Score |
     return next(
         (
             other
-            for other in session.scalars(query)
-            if other.integrity and similarity(fingerprint, other.integrity["fingerprint"]) > SIMILARITY_LIMIT
+            for other, findings in session.execute(query)
+            if findings and similarity(fingerprint, findings["fingerprint"]) > SIMILARITY_LIMIT
         ),
         None,
     )

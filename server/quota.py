@@ -42,7 +42,7 @@ def check(session: Session, *, team: Team, phase: Phase) -> None:
 
     Raises:
         QuotaExceeded: The phase's submissions for 24 hours are used up.
-        TooManyRejections: The phase's rejected uploads for 24 hours are used up.
+        TooManyRejections: The phase's rejected or cancelled uploads for 24 hours are used up.
     """
     at = database.now(session)
     if not remaining(session, team_id=team.id, phase=phase, at=at):
@@ -56,8 +56,8 @@ def check(session: Session, *, team: Team, phase: Phase) -> None:
     if len(rejected) >= phase.rejections_per_day:
         wait_s = _until_next(rejected, at)
         message = (
-            f"{len(rejected)} uploads of team {team.slug} to {phase.slug} were rejected within 24 hours; check files"
-            f" with `cs3d validate` before sending them; the next upload is possible in {wait_s} s"
+            f"{len(rejected)} uploads of team {team.slug} to {phase.slug} were rejected or cancelled within 24 hours;"
+            f" check files with `cs3d validate` before sending them; the next upload is possible in {wait_s} s"
         )
         raise TooManyRejections(message, retry_after_s=wait_s)
 
@@ -146,13 +146,16 @@ def _entries(query: sa.Select[Any], team_id: int, phase_id: int, at: datetime) -
 
 
 def _rejections(session: Session, team_id: int, phase_id: int, at: datetime) -> list[datetime]:
-    """List when the team's uploads were rejected, oldest first."""
+    """List when the team's uploads were rejected or cancelled, oldest first.
+
+    Neither costs quota, but their bytes are kept: without a bound, sending and cancelling would fill the disk.
+    """
     query = (
         sa.select(Submission.state_changed_at)
         .where(
             Submission.team_id == team_id,
             Submission.phase_id == phase_id,
-            Submission.state == SubmissionState.REJECTED,
+            Submission.state.in_((SubmissionState.REJECTED, SubmissionState.CANCELLED)),
             Submission.state_changed_at > at - WINDOW,
         )
         .order_by(Submission.state_changed_at)

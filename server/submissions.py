@@ -9,7 +9,7 @@ from server import audit, database, lifecycle, quota
 from server.accounts import checked_slug, checked_text, is_member
 from server.blobs import Blobs, record_blob
 from server.errors import Conflict, Forbidden, Held, NotFound, NotScored, PhaseClosed
-from server.models import Method, Phase, Publication, Submission, SubmissionState, Team, User
+from server.models import Method, Phase, Publication, Score, Submission, SubmissionState, Team, User
 
 
 def receive(
@@ -205,7 +205,7 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     """Show the submission as its method's row on the leaderboard, instead of the one shown until now.
 
     Raises:
-        NotScored: It has no scores (yet).
+        NotScored: It has no scores (yet), or none that rank.
         Forbidden: The phase does not allow it.
         Held: A maintainer must release it first.
     """
@@ -218,6 +218,12 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     if not submission.phase.allows_publication:
         message = f"phase {submission.phase.slug} has no leaderboard; its scores stay with their team"
         raise Forbidden(message)
+    if submission.publication is not Publication.PUBLISHED and not _ranks(session, submission):
+        message = (
+            f"submission {submission.id} was scored on ground truth or by a protocol that does not rank any more; send"
+            " the predictions again"
+        )
+        raise NotScored(message)
     if submission.held_reason is not None:
         message = f"a maintainer looks at this submission before it may be published: {submission.held_reason}"
         raise Held(message)
@@ -240,6 +246,20 @@ def withdraw(session: Session, submission: Submission, actor: str) -> None:
     _lock(session, submission)
     if submission.publication is Publication.PUBLISHED:
         _set_publication(session, submission, Publication.WITHDRAWN, actor)
+
+
+def _ranks(session: Session, submission: Submission) -> bool:
+    """Say whether the submission has a score by its phase's protocol on the ground truth in force.
+
+    It has none when other ground truth was put in force while it was scored, or since: published, it would be nowhere.
+    """
+    phase = session.get_one(Phase, submission.phase_id, with_for_update={"read": True}, populate_existing=True)
+    fitting = sa.select(Score.id).where(
+        Score.submission_id == submission.id,
+        Score.protocol == phase.protocol,
+        Score.ground_truth_id == phase.ground_truth_id,
+    )
+    return session.scalar(fitting.limit(1)) is not None
 
 
 def _lock(session: Session, submission: Submission) -> None:

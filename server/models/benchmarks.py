@@ -42,7 +42,7 @@ class Phase(Base):
     submissions_per_day: Mapped[int] = mapped_column(default=10)
     """Scored or pending submissions of a team in any 24 hours."""
     rejections_per_day: Mapped[int] = mapped_column(default=50)
-    """Rejected uploads of a team in any 24 hours."""
+    """Rejected or cancelled uploads of a team in any 24 hours."""
     max_attempts: Mapped[int] = mapped_column(default=3)
     """Claims by workers before a submission is failed."""
     ground_truth_id: Mapped[int | None] = mapped_column(
