@@ -37,7 +37,7 @@ class ProblemDocument(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     detail: str
     """What helps in this case."""
     code: str
-    """Stable name of the problem; docs/errors.md lists all."""
+    """Stable name of the problem; docs/api.md lists all."""
     instance: str | None = None
     """For unforeseen errors: what the maintainers find in their log."""
     errors: tuple[InvalidValue, ...] = ()

@@ -1,6 +1,8 @@
 """The OpenAPI document against the running application: no server error, no answer that is not documented."""
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -14,7 +16,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from server.api.problems import all_errors
+from server.api.problems import all_errors, title_of
 from tests.integration.api.test_following import own
 from tests.integration.site import Site, send
 
@@ -91,6 +93,14 @@ def test_codes_are_stable_and_explained(site: Site) -> None:
             assert kind.__doc__
             assert 400 <= kind.status <= 599
             assert client.get(f"/problems/{code}").status_code == 200
+
+
+def test_the_documentation_lists_every_code() -> None:
+    """docs/api.md has one line for each code, with its status and its sentence, and no other."""
+    text = (Path(__file__).resolve().parents[3] / "docs" / "api.md").read_text(encoding="utf-8")
+    table = text.partition("## Problems")[2].partition("## Limits")[0]
+    listed = re.findall(r"^\| `([a-z_]+)` \| (\d+) \| (.*)\. \|$", table, re.MULTILINE)
+    assert listed == [(code, str(kind.status), title_of(kind)) for code, kind in all_errors().items()]
 
 
 def test_documented_problems_have_examples(site: Site) -> None:
