@@ -37,6 +37,7 @@ def _row(deployment: Deployment, submission_id: str) -> Submission:
 
 def kill_at(deployment: Deployment, point: str, target: str, *, index: int) -> bool:
     """Kill a target at the moment somebody passes a point; False when there was nothing to kill."""
+    deployment.revive()  # on a busy machine a killed process may take longer to die than we waited
     victims = deployment.victims(target, index)
     if not victims:
         return False

@@ -59,6 +59,7 @@ class Deployment:
     def __init__(self, shape: str, folder: Path, *, sabotaged: str | None = None) -> None:
         """Start everything and create a team with a phase and a token."""
         self.shape = shape
+        self._started: list[Service] = []
         self.faults = folder / "faults"
         self.faults.mkdir(parents=True)
         self._short = tempfile.TemporaryDirectory(prefix="cs3d-")
@@ -66,7 +67,15 @@ class Deployment:
         self.broker = Broker(folder / "broker", socket=socket)
         self.database = PostgresqlServer(folder / "postgresql") if shape == "scale_out" else None
         self.bucket = BucketServer(folder / "bucket") if shape == "scale_out" else None
+        try:
+            self._start(folder, sabotaged)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, folder: Path, sabotaged: str | None) -> None:
         for service in self._backing():
+            self._started.append(service)
             service.start()
         self.services = Services.from_settings(Settings(data_dir=folder / "data", **TIMES, **self._places()))
         database.migrate(self.services.engine)
@@ -83,12 +92,13 @@ class Deployment:
         self.scheduler = Scheduler(folder / "scheduler", self.services.settings)
         fronts = (self.web, *self.workers, self.scheduler)
         for front in fronts:
+            self._started.append(front)
             front.launch()
         self.wait_until_ready()
 
     def wait_until_ready(self) -> None:
         """Wait until everything answers."""
-        for service in self._all():
+        for service in self._started:
             service.wait_until_ready()
 
     def _worker(self, folder: Path, index: int, environment: dict[str, str]) -> WorkerProcess:
@@ -140,16 +150,13 @@ class Deployment:
 
     def revive(self) -> None:
         """Start again what died, as a supervisor does; what others depend on is waited for."""
-        for service in self._all():
+        for service in self._started:
             if not service.running:
                 service.kill()
                 if service in self._backing():
                     _start_patiently(service)
                 else:
                     service.launch()
-
-    def _all(self) -> list[Service]:
-        return [*self._backing(), self.web, *self.workers, self.scheduler]
 
     def logs(self) -> dict[str, str]:
         """Read what our own processes wrote."""
@@ -159,10 +166,9 @@ class Deployment:
 
     def close(self) -> None:
         """End everything, what is frozen too."""
-        for service in reversed(self._all()):
+        for service in reversed(self._started):
             service.signal(signal.SIGCONT)
             service.kill()
-        self.services.close()
         self._short.cleanup()
 
 

@@ -77,6 +77,7 @@ def attack(shape: str, programme: Programme) -> Figures:
         try:
             _run(deployment, figures, programme)
         finally:
+            deployment.services.close()
             deployment.close()
     return figures
 

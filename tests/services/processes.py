@@ -5,10 +5,13 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+
+TETHER = Path(__file__).resolve().parents[2] / "server" / "tether.py"
 
 READY_S = 90.0
 
@@ -82,7 +85,7 @@ class Service(ABC):
         """Start the program without waiting."""
         with self.log_path.open("ab") as log:
             self.process = subprocess.Popen(
-                list(self.command()),
+                [*self._tether(), *self.command()],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -91,6 +94,10 @@ class Service(ABC):
                 extra_groups=[] if self.user() else None,
                 start_new_session=True,
             )
+
+    def _tether(self) -> Sequence[str]:
+        """Let the program end with us, even by SIGKILL; another user may not be able to run our Python."""
+        return () if self.user() else (sys.executable, "-S", "-E", str(TETHER), str(os.getpid()))
 
     def wait_until_ready(self) -> None:
         """Wait until the service answers."""
