@@ -178,9 +178,12 @@ def _check_centers(evidence: Evidence, fit: float | None, findings: Findings) ->
     if not judged:
         return False
     gain, there, codes, reading = max(judged, key=lambda one: (round(one[0], 1), one[1]))
+    confidence = 0.7 + gain / 2 + there
+    if confidence < 0.5:  # noqa: PLR2004 -- hardly any vehicle is near, and the 2D boxes contradict the other reading
+        return False
     for code in codes:
         found = f"vehicles {'nowhere near the road' if height is None else f'{height:+.2f} m off the road'}; {reading}?"
-        _recognise(code, findings, 0.7 + gain / 2 + there, found)
+        _recognise(code, findings, confidence, found)
     return True
 
 

@@ -1,5 +1,6 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from evaluator.intake import read_predictions
 from evaluator.predictions import Predictions
 from evaluator.protocol import VEHICLE_LABELS
 from evaluator.report import ProblemGroup
+from evaluator.synthetic import QUALITIES, synthesize_ground_truth, synthesize_predictions
 from tests.data.corpus_predictions import IMAGE, box, document
 from tests.data.mistakes import MISTAKES, noisy
 
@@ -83,6 +85,23 @@ def test_few_boxes_prove_nothing() -> None:
     predictions, images = _oracle("tiny_by_hand")
     assert len(predictions) < 20
     assert _codes(replace(predictions, rotation=predictions.rotation[:, [1, 2, 3, 0]]), images) == set()
+
+
+@pytest.mark.parametrize("seed", [1, 18])
+def test_forty_sound_boxes_raise_no_alarm(seed: int, tmp_path: Path) -> None:
+    """Draws with hardly a vehicle nearby: the road tells nothing there, and the 2D boxes fit as they are."""
+    files = synthesize_ground_truth(60, 1)
+    for folder, content in (("gt", files), ("pred", synthesize_predictions(files, QUALITIES[1], 1, None))):
+        (tmp_path / folder).mkdir()
+        for name, data in content.items():
+            (tmp_path / folder / name).write_bytes(data)
+    images = read_ground_truth(tmp_path / "gt").image_list()
+    predictions = read_predictions(tmp_path / "pred", images=images).predictions
+    assert predictions is not None
+    drawn = np.sort(np.random.default_rng(seed).choice(len(predictions), 40, replace=False))
+    columns: dict[str, Any] = {f.name: getattr(predictions, f.name) for f in fields(predictions)}
+    few = replace(predictions, **{k: v[drawn] for k, v in columns.items() if isinstance(v, np.ndarray)})
+    assert _codes(few, images) == set()
 
 
 @pytest.mark.parametrize("mistake", ["xyzw", "w_l_h", "corners", "angles_in_degrees"])
