@@ -29,6 +29,8 @@ from server.services import Services
 
 log = structlog.get_logger(__name__)
 
+COLLECT_S = 0.002
+"""Between two queries: under load more of those who ask share one; who asks alone is not kept waiting."""
 MAX_ANSWERS = 2048
 MAX_ANSWER_BYTES = 16 << 10
 """Larger answers, with long reports, are rendered every time: what is kept stays within 32 MiB."""
@@ -111,6 +113,7 @@ class Polls:
                     log.warning("poll_failed", error=repr(error))
                 finally:
                     question.answered.set()
+                await asyncio.sleep(COLLECT_S)
         finally:
             self._asking = None
 
