@@ -46,7 +46,8 @@ def settled(
         ground_truth: Cameras.
         predictions: Boxes in 3D.
     """
-    hanging = np.unique(pairs.prediction_row[_hangs_on_rounding(pairs, min_iou)])
+    hangs = _hangs_on_rounding(pairs, min_iou, gt_boxes, predictions)
+    hanging = np.unique(pairs.prediction_row[hangs])
     if len(hanging) == 0:
         return pairs
     boxes = np.zeros((4, len(predictions)))
@@ -57,15 +58,27 @@ def settled(
     return Pairs(pairs.gt_row, pairs.prediction_row, iou)
 
 
-def _hangs_on_rounding(pairs: Pairs, min_iou: float) -> NDArray[np.bool_]:
-    """Return (E,) whether a pair is as good as another one of its ground truth or prediction, or as the minimum."""
+def _hangs_on_rounding(
+    pairs: Pairs, min_iou: float, gt_boxes: Float64Array, predictions: Predictions
+) -> NDArray[np.bool_]:
+    """Return (E,) whether a pair is as good as another one of its ground truth or prediction, or as the minimum.
+
+    Pairs of equal boxes do not hang on rounding: they tie exactly, however they are projected.
+    """
     hangs = np.abs(pairs.iou - min_iou) <= ROUNDING
-    for key in (pairs.gt_row, pairs.prediction_row):
+    columns = (predictions.center_m, predictions.dimensions_m, predictions.rotation)
+    for key, other, boxes in (
+        (pairs.gt_row, pairs.prediction_row, columns),
+        (pairs.prediction_row, pairs.gt_row, (gt_boxes.T,)),
+    ):
         shared = np.flatnonzero(np.bincount(key, minlength=1)[key] > 1)
         order = shared[np.lexsort((pairs.iou[shared], key[shared]))]
         close = (np.diff(key[order]) == 0) & (np.diff(pairs.iou[order]) <= ROUNDING)
-        hangs[order[1:][close]] = True
-        hangs[order[:-1][close]] = True
+        first, second = other[order[:-1][close]], other[order[1:][close]]
+        differ = np.zeros(len(close), dtype=bool)
+        differ[close] = np.any([(column[first] != column[second]).any(axis=1) for column in boxes], axis=0)
+        run = np.concatenate([[0], np.cumsum(~close)])[: len(order)]
+        hangs[order[np.isin(run, run[1:][differ])]] = True
     return hangs
 
 
