@@ -45,6 +45,10 @@ class Blobs(Protocol):
     incoming: Path
     """A local folder for bytes that are still arriving; from here promotion is cheapest."""
 
+    @property
+    def cache(self) -> Path | None:
+        """A local folder of copies for reading; None: the store itself is local."""
+
     def put_file(self, path: Path, sha256: str) -> None:
         """Promote a complete local file under its digest; the file at `path` is gone afterwards."""
 
@@ -121,6 +125,7 @@ class FolderBlobs:
     def __init__(self, folder: Path) -> None:
         """Use `folder`, creating it when it is missing."""
         self.folder = folder
+        self.cache: Path | None = None
         self.incoming = folder / "incoming"
         self.incoming.mkdir(parents=True, exist_ok=True)
 
@@ -195,7 +200,7 @@ class BucketBlobs:
     def __init__(self, settings: Settings) -> None:
         """Open the bucket of `settings.blob_url`; nothing is asked of it yet."""
         self._store: Any = _open_bucket(settings)
-        self.cache = settings.data_dir.absolute() / "cache"
+        self.cache: Path = settings.data_dir.absolute() / "cache"
         self.incoming = settings.data_dir.absolute() / "incoming"
         self.cache.mkdir(parents=True, exist_ok=True)
         self.incoming.mkdir(parents=True, exist_ok=True)
@@ -234,17 +239,20 @@ class BucketBlobs:
 
     def _download(self, sha256: str, path: Path) -> None:
         digest = hashlib.sha256()
-        with no_room_is_said(), tempfile.NamedTemporaryFile(dir=self.cache, delete=False, suffix=".tmp") as stream:
-            for chunk in self.stream(sha256):
-                digest.update(chunk)
-                stream.write(chunk)
-        temporary = Path(stream.name)
-        if digest.hexdigest() != sha256:
-            temporary.unlink()
-            message = f"blob {sha256} arrived with other bytes than its name says; check the blob store"
-            raise Unavailable(message)
-        temporary.chmod(0o444)
-        temporary.replace(path)
+        descriptor, name = tempfile.mkstemp(dir=self.cache, suffix=".tmp")
+        temporary = Path(name)
+        try:
+            with no_room_is_said(), os.fdopen(descriptor, "wb") as stream:
+                for chunk in self.stream(sha256):
+                    digest.update(chunk)
+                    stream.write(chunk)
+            if digest.hexdigest() != sha256:
+                message = f"blob {sha256} arrived with other bytes than its name says; check the blob store"
+                raise Unavailable(message)
+            temporary.chmod(0o444)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)  # half a download on a full disk would keep it full
 
     def exists(self, sha256: str) -> bool:
         """Ask the store for the object's head."""
@@ -335,13 +343,13 @@ def sweep_orphans(session: Session, blobs: Blobs, *, grace_s: float) -> int:
     Returns:
         How many were deleted.
     """
+    deadline = datetime.now(UTC).timestamp() - grace_s  # the store's clock is the only one its times can be held to
+    # Listed before the lock: a large bucket takes its time, and uploads must not wait for it.
+    old = [blob.sha256 for blob in blobs.stored() if blob.modified_at.timestamp() < deadline]
     if session.get_bind().dialect.name == "postgresql":
         session.execute(sa.text("LOCK TABLE blob IN SHARE ROW EXCLUSIVE MODE"))
     known = set(session.scalars(sa.select(Blob.sha256)))
-    deadline = datetime.now(UTC).timestamp() - grace_s  # the store's clock is the only one its times can be held to
-    orphans = [
-        blob.sha256 for blob in blobs.stored() if blob.sha256 not in known and blob.modified_at.timestamp() < deadline
-    ]
+    orphans = [sha256 for sha256 in old if sha256 not in known]
     for sha256 in orphans:
         blobs.delete(sha256)
     return len(orphans)
@@ -353,8 +361,21 @@ def sweep_incoming(blobs: Blobs, *, grace_s: float) -> int:
     Returns:
         How many were deleted.
     """
+    return _delete_old(blobs.incoming, grace_s)
+
+
+def sweep_cache(blobs: Blobs, *, grace_s: float) -> int:
+    """Delete copies for reading that nobody asked for in `grace_s` seconds; the store still has them.
+
+    Returns:
+        How many were deleted.
+    """
+    return _delete_old(blobs.cache, grace_s) if blobs.cache else 0
+
+
+def _delete_old(folder: Path, grace_s: float) -> int:
     deadline = datetime.now(UTC).timestamp() - grace_s
-    stale = [path for path in blobs.incoming.iterdir() if _changed_at(path) < deadline]
+    stale = [path for path in folder.iterdir() if _changed_at(path) < deadline]
     for path in stale:
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

@@ -104,7 +104,7 @@ def _held_past(session: Session, deadline: datetime) -> list[uuid.UUID]:
 
 
 def sweep_files(services: Services) -> int:
-    """Delete blobs without a row and abandoned temporary files, both only after the grace time.
+    """Delete blobs without a row, abandoned temporary files and unused copies of blobs, all only after the grace time.
 
     Returns:
         How many files were deleted.
@@ -112,4 +112,7 @@ def sweep_files(services: Services) -> int:
     grace_s = services.settings.orphan_grace_s
     with services.transaction() as session:
         orphans = blobs.sweep_orphans(session, services.blobs, grace_s=grace_s)
-    return orphans + blobs.sweep_incoming(services.blobs, grace_s=grace_s)
+    incoming = blobs.sweep_incoming(services.blobs, grace_s=grace_s)
+    # The ground truth's copy is opened only once the predictions are validated: it must outlive any attempt.
+    copies = blobs.sweep_cache(services.blobs, grace_s=max(grace_s, 3 * services.settings.score_time_s))
+    return orphans + incoming + copies

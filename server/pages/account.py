@@ -1,8 +1,9 @@
 """Log in and out; the account with its API tokens."""
 
 from datetime import timedelta
+from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Path
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from starlette.responses import Response
@@ -85,7 +86,9 @@ def make_token(visit: VisitDependency, fields: FieldsDependency) -> Response:
 
 
 @router.post("/account/tokens/{token_id}/revoke")
-def revoke_token(token_id: int, visit: VisitDependency, fields: FieldsDependency) -> Response:
+def revoke_token(
+    token_id: Annotated[int, Path(ge=1, lt=1 << 31)], visit: VisitDependency, fields: FieldsDependency
+) -> Response:
     """End one of the user's tokens."""
 
     def work(session: Session, identity: Identity) -> str:
@@ -126,6 +129,7 @@ def _own_team(session: Session, user: User, slug: str) -> Team:
 
 
 def _days(text: str) -> int:
-    if not text.isdecimal() or int(text) not in TOKEN_DAYS:
+    days = next((days for days in TOKEN_DAYS if str(days) == text), None)
+    if days is None:
         raise InvalidField(f"days: choose one of {', '.join(map(str, TOKEN_DAYS))}")
-    return int(text)
+    return days

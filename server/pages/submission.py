@@ -1,5 +1,6 @@
 """The page of one submission, the list of a user's submissions, and what their owners may do."""
 
+import re
 from dataclasses import dataclass
 
 from fastapi import APIRouter
@@ -53,7 +54,7 @@ def submission_list(visit: VisitDependency) -> Response:
     """List what the user's teams sent."""
 
     def work(session: Session, user: User) -> Context:
-        page = max(1, int(given)) if (given := visit.request.query_params.get("page", "1")).isdecimal() else 1
+        page = _page_of(visit.request.query_params.get("page", "1"))
         skipped = (page - 1) * PER_PAGE
         teams = accounts.teams_of(session, user)
         listed = {
@@ -73,6 +74,11 @@ def submission_list(visit: VisitDependency) -> Response:
         }
 
     return visit.show_own("submissions.html", work)
+
+
+def _page_of(text: str) -> int:
+    """Read a page's number; whatever is none shows the first."""
+    return max(1, int(text)) if re.fullmatch(r"[0-9]{1,9}", text) else 1
 
 
 @router.get("/submissions/{submission_id}")

@@ -69,6 +69,7 @@ def form_context(session: Session, user: User, *, benchmark: str, phase: str, or
 
 async def _receive(request: Request, visit: Visit, boundary: bytes, fields: Fields) -> str:
     web = visit.web
+    await run_in_threadpool(_require_user, visit)  # before the body: nobody else may hold one of the few places
     async with web.gate.spool(announced_size(request)) as spool:
         stream = at_a_decent_pace(request.stream(), web.gate.limits)
         form = await _read_checked(stream, boundary, spool, visit)
@@ -98,6 +99,12 @@ async def _read_checked(stream: AsyncIterator[bytes], boundary: bytes, spool: Sp
 
 def _origin(visit: Visit) -> str:
     return visit.web.services.settings.public_url.rstrip("/")
+
+
+def _require_user(visit: Visit) -> None:
+    with visit.web.services.snapshot() as session:
+        if visit.web.identities.user_of(session, visit.login) is None:
+            raise MissingToken("Your session ended; log in again.")
 
 
 def _admit(visit: Visit, order: receiving.Order) -> Admission:
