@@ -64,6 +64,29 @@ def leaderboard(benchmark: str, phase: str, visit: VisitDependency) -> Response:
     return visit.show("leaderboard.html", work)
 
 
+@router.get("/benchmarks/{benchmark}/{phase}/compare")
+def compare(benchmark: str, phase: str, visit: VisitDependency) -> Response:
+    """Show two published methods side by side; by default the first two."""
+
+    def work(session: Session, user: User | None) -> Context:
+        del user
+        board = ranking.leaderboard(session, benchmarks.find_phase(session, benchmark, phase))
+        query, rows = visit.request.query_params, board.rows
+        named = {str(row.submission.id): row for row in rows}
+        labels = tables.labels_of(rows)
+        return {
+            "phase": board.phase,
+            "rows": rows,
+            "labels": labels,
+            "left": named.get(query.get("a", ""), rows[0] if rows else None),
+            "right": named.get(query.get("b", ""), rows[min(1, len(rows) - 1)] if rows else None),
+            "metric": tables.View.from_query(query, labels).metric,
+            "tables": tables,
+        }
+
+    return visit.show("compare.html", work)
+
+
 @router.get("/methods/{team}/{method}")
 def method_page(team: str, method: str, visit: VisitDependency) -> Response:
     """Show a method and those of its submissions that the visitor may see."""

@@ -102,6 +102,11 @@ def class_value(row: LeaderboardRow, label: str, metric: str) -> float | None:
     return value
 
 
+def difference(first: float | None, second: float | None) -> float | None:
+    """Subtract the first value from the second; undefined when either is."""
+    return None if first is None or second is None else second - first
+
+
 def bins_of(row: LeaderboardRow, label: str) -> list[dict[str, Any]]:
     """Give the depth bins of one class of a row."""
     bins: list[dict[str, Any]] = next(

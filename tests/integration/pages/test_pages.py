@@ -178,6 +178,23 @@ def test_the_leaderboard_sorts_and_ranks(site: Site, archive: bytes, score: Scor
         assert "<script>" not in odd.text
 
 
+def test_two_methods_are_compared(site: Site, archive: bytes, score: Score) -> None:
+    """Differences are the second method's less the first's; an undefined value has no difference."""
+    token = site.token()
+    best = published(site, token, archive, "best", score)
+    worst = published(site, token, zip_with(NOTHING_FOUND), "worst", score)
+    with site.client() as visitor:
+        page = visitor.get(f"{BOARD}/compare", params={"a": best, "b": worst}).text
+        mds = 100 * visitor.get("/api/v1/leaderboards/cs3d/test").json()["rows"][0]["mds"]
+        assert visitor.get(f"{BOARD}/compare", params={"a": "no", "b": "no"}).status_code == 200
+    row = re.search(r'<th scope="row" class="sticky">mDS</th>(.*?)</tr>', page, re.DOTALL)
+    assert row
+    # The worst finds nothing: its mDS is 0, the difference all of the best one's.
+    cells = re.findall(r'<td class="number">([^<]*)</td>', row[1])
+    assert cells == [f"{mds:.2f}", "0.00", f"−{mds:.2f}"]
+    assert "n/a" in page
+
+
 def test_undefined_is_said(site: Site, archive: bytes, score: Score) -> None:
     """A class without ground truth shows n/a, never 0: the small case has none of train."""
     with site.client(site.token()) as client:
