@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from evaluator.report import Problem, ProblemGroup, Report
 
 LISTED_PROBLEMS = 20
-"""Problems shown of each group; the rest are counted."""
+"""Problems shown of each group; the rest are counted. As JSON a report has up to 1000."""
 
 
 def report_text(report: Report) -> str:
@@ -19,13 +19,14 @@ def report_text(report: Report) -> str:
 def _group_lines(group: ProblemGroup) -> Iterator[str]:
     yield f"{group.severity}: {group.title} [{group.code}, {group.count}x]"
     shown = group.problems[:LISTED_PROBLEMS]
-    yield from (f"    {_problem_line(problem)}" for problem in shown)
+    yield from (f"    {problem_line(problem)}" for problem in shown)
     if group.count > len(shown):
         yield f"    and {group.count - len(shown)} more"
     yield f"    fix: {group.fix}"
 
 
-def _problem_line(problem: Problem) -> str:
+def problem_line(problem: Problem) -> str:
+    """Write one place on one line: where, found, expected, detail."""
     place = " ".join(part for part in (problem.file, problem.pointer) if part)
     found = problem.found and f"found {problem.found}"
     expected = problem.expected and f"expected {problem.expected}"

@@ -8,15 +8,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from client.report_text import LISTED_PROBLEMS, problem_line
 from evaluator.errors import DataError, UsageError
 
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from evaluator.ground_truth import ImageList
     from evaluator.intake import Intake
-    from evaluator.report import Problem, Report
-
-LISTED_PROBLEMS = 20
-"""Places shown of each problem; --json has up to 1000."""
+    from evaluator.report import Report
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -101,21 +99,12 @@ def _print_report(report: "Report", name: str, *, images_known: bool) -> None:
         console.print(table)
     for group in report.groups:
         for number, problem in enumerate(group.problems[:LISTED_PROBLEMS]):
-            text = _place_text(problem)
+            text = problem_line(problem)
             if text:
                 print(f"{group.code}:" if not number else "", f"  {text}", sep="\n" if not number else "")
         if group.count > LISTED_PROBLEMS:
             print(f"  and {group.count - LISTED_PROBLEMS} more")
     print(_verdict(report, name, images_known=images_known))
-
-
-def _place_text(problem: "Problem") -> str:
-    """Write one place on one line."""
-    place = " ".join(part for part in (problem.file, problem.pointer) if part)
-    found = problem.found and f"found {problem.found}"
-    expected = problem.expected and f"expected {problem.expected}"
-    what = ", ".join(part for part in (found, expected, problem.detail) if part)
-    return ": ".join(part for part in (place, what) if part)
 
 
 def _verdict(report: "Report", name: str, *, images_known: bool) -> str:

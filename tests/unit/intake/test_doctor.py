@@ -99,9 +99,9 @@ def test_forty_sound_boxes_raise_no_alarm(seed: int, tmp_path: Path) -> None:
     predictions = read_predictions(tmp_path / "pred", images=images).predictions
     assert predictions is not None
     drawn = np.sort(np.random.default_rng(seed).choice(len(predictions), 40, replace=False))
-    columns: dict[str, Any] = {f.name: getattr(predictions, f.name) for f in fields(predictions)}
-    few = replace(predictions, **{k: v[drawn] for k, v in columns.items() if isinstance(v, np.ndarray)})
-    assert _codes(few, images) == set()
+    names = [field.name for field in fields(predictions) if field.name not in {"images", "labels"}]
+    columns: dict[str, Any] = {name: getattr(predictions, name)[drawn] for name in names}
+    assert _codes(replace(predictions, **columns), images) == set()
 
 
 @pytest.mark.parametrize("mistake", ["xyzw", "w_l_h", "corners", "angles_in_degrees"])
