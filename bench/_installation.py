@@ -1,5 +1,6 @@
 """A whole installation of real processes on loopback: broker, web server, workers, one team with a token."""
 
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -101,6 +102,7 @@ def running_site(
         workers: processes that score, all of one Celery worker; 0: none runs.
         settings: of the installation.
     """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the processes below end with us
     with tempfile.TemporaryDirectory(prefix="cs3d-bench-") as name:
         folder = Path(name)
         broker = Broker(folder / "broker", socket=folder / "broker.sock")
