@@ -26,7 +26,7 @@ class Services:
     @classmethod
     def from_settings(cls, settings: Settings) -> Self:
         """Open what the settings name. Nothing is asked of the database or the broker yet."""
-        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)  # it holds hidden ground truth
         engine = database.create_engine(settings.database)
         return cls(settings=settings, engine=engine, blobs=open_blobs(settings), queue=Queue(settings))
 

@@ -121,7 +121,7 @@ class Settings(BaseSettings):
         """
         if given := self.secret_key.get_secret_value():
             return given
-        self.data_dir.mkdir(parents=True, exist_ok=True)
+        self.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
         path = self.data_dir / "secret_key"
         if not path.exists():
             _create_private(path, secrets.token_urlsafe(48))

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import structlog
 from fastapi.exceptions import RequestValidationError
+from sqlalchemy.exc import DataError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
@@ -19,7 +20,7 @@ from starlette.responses import Response
 from evaluator.errors import BenchmarkError
 from evaluator.report import Report
 from server.api.errors import InvalidValue, MalformedRequest, MethodNotAllowed, UnknownPath, ValidationFailed
-from server.errors import ServerError
+from server.errors import InvalidField, ServerError
 
 log = structlog.get_logger(__name__)
 
@@ -86,6 +87,8 @@ def error_of(exception: Exception) -> BenchmarkError:
         return _validation_error(exception)
     if isinstance(exception, HTTPException):
         return _http_error(exception)
+    if isinstance(exception, DataError):
+        return InvalidField("a value holds what the database cannot keep, such as a NUL character")
     return InternalError("The maintainers can find the cause by the reference in `instance`.")
 
 
