@@ -5,11 +5,12 @@ import json
 import subprocess
 import sys
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 
 from evaluator.synthetic import synthesize_ground_truth, write_zip
 from server import accounts, benchmarks, lifecycle, submissions
@@ -21,6 +22,13 @@ from server.settings import Settings
 ROOT = Path(__file__).resolve().parents[3]
 
 Admin = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture(autouse=True)
+def _usual_logging() -> Iterator[None]:
+    """Leave logging to other tests as it was: a command sends it to standard error."""
+    yield
+    structlog.reset_defaults()
 
 
 @pytest.fixture
