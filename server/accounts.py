@@ -3,6 +3,7 @@
 import hashlib
 import re
 import secrets
+import threading
 from datetime import datetime
 from functools import cache
 
@@ -11,7 +12,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from server import audit, database
-from server.errors import Conflict, Forbidden, InvalidField, NotAuthenticated, NotFound
+from server.errors import Conflict, Forbidden, InvalidField, NotAuthenticated, NotFound, Unavailable
 from server.models import Membership, Team, Token, User
 
 SECRET_PREFIX = "cs3d_"  # noqa: S105 - the public beginning of every token, so that leaked ones can be found
@@ -207,17 +208,26 @@ def authenticate_password(session: Session, email: str, password: str) -> User:
 
     Raises:
         NotAuthenticated: There is no such user, the password is wrong or the account is disabled.
+        Unavailable: Too many passwords are being checked.
     """
     user = session.scalar(sa.select(User).where(User.email == email.strip().lower()))
     known_hash = user.password_hash if user else None
+    if not _HASHING.acquire(timeout=_HASHING_PATIENCE_S):
+        raise Unavailable("too many people log in at this moment; try again in a few seconds")
     try:
         _hasher().verify(known_hash or _no_password_hash(), password)
     except argon2.exceptions.VerificationError as error:
         raise NotAuthenticated(_WRONG_LOGIN) from error
+    finally:
+        _HASHING.release()
     if user is None or known_hash is None or user.disabled_at is not None:
         raise NotAuthenticated(_WRONG_LOGIN)
     return user
 
+
+_HASHING = threading.BoundedSemaphore(4)
+"""Each check takes 64 MiB and a processor, so logging in must not be a way to take all of either."""
+_HASHING_PATIENCE_S = 5.0
 
 _WRONG_LOGIN = "e-mail address or password is wrong; a maintainer can set a new password"
 

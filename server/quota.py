@@ -24,7 +24,8 @@ AMOUNTS = {QuotaKind.RESERVE: 1, QuotaKind.CHARGE: 0, QuotaKind.REFUND: -1}
 
 def lock_team(session: Session, team_id: int) -> None:
     """Let nobody else change this team's quota until the transaction ends. SQLite locks the whole database anyway."""
-    session.execute(sa.select(Team.id).where(Team.id == team_id).with_for_update())
+    # Not against rows that merely refer to the team: a score being recorded must not wait for a publication.
+    session.execute(sa.select(Team.id).where(Team.id == team_id).with_for_update(key_share=True))
 
 
 def used(session: Session, *, team_id: int, phase: Phase, at: datetime) -> int:

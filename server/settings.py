@@ -14,6 +14,8 @@ from typing import Self
 from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from evaluator.limits import DEFAULT_LIMITS
+
 MIB = 1024 * 1024
 
 LONGEST_SOCKET_PATH = 100
@@ -43,7 +45,7 @@ class Settings(BaseSettings):
     """Where participants reach the server; used in links and mails."""
     secret_key: SecretStr = SecretStr("")
     """Signs login sessions; empty: generated once into `data_dir/secret_key`. Give the same to every web process."""
-    upload_max_bytes: int = Field(default=1024 * MIB, ge=1)
+    upload_max_bytes: int = Field(default=DEFAULT_LIMITS.archive_bytes, ge=1)
     disk_floor_bytes: int = Field(default=512 * MIB, ge=0)
     """Uploads are refused with 507 when less would stay free."""
 

@@ -6,10 +6,11 @@ this process cannot finish it gives back; what it cannot even give back, the swe
 
 import shutil
 import signal
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -90,10 +91,29 @@ class _Attempt:
 
     def work(self, sandbox: Sandbox) -> None:
         """Run the job and follow its events to the end."""
-        job = self._job()
+        with self._lease_renewed():
+            job = self._job()
         with closing(sandbox.events(job, tick_s=self.services.settings.heartbeat_s)) as events:
             for event in events:
                 self._follow(event)
+
+    @contextmanager
+    def _lease_renewed(self) -> Iterator[None]:
+        """Keep the lease while blobs are fetched, which may take longer than it lasts."""
+        done = threading.Event()
+
+        def beat() -> None:
+            while not done.wait(self.services.settings.heartbeat_s):
+                with suppress(LeaseLost):  # the next write says so
+                    self._heartbeat()
+
+        beating = threading.Thread(target=beat, name="heartbeat", daemon=True)
+        beating.start()
+        try:
+            yield
+        finally:
+            done.set()
+            beating.join()
 
     def _job(self) -> Job:
         settings, blobs, held = self.services.settings, self.services.blobs, self.held

@@ -8,6 +8,7 @@ from typing import Literal
 
 import msgspec
 
+from evaluator.ground_truth import ImageList
 from evaluator.integrity import IntegrityAudit
 from evaluator.report import Report
 from evaluator.results import Scores
@@ -197,5 +198,6 @@ EXPOSED = (
     BenchmarkList,
     UploadDocument,
     IntegrityAudit,
+    ImageList,
 )
 """Every type an endpoint answers with, for OpenAPI."""

@@ -1,4 +1,4 @@
-"""Public reading: benchmarks, leaderboards (JSON and CSV)."""
+"""Public reading: benchmarks, their images, leaderboards (JSON and CSV)."""
 
 import csv
 import hashlib
@@ -11,11 +11,12 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 
+from evaluator.ground_truth import ImageList
 from server import benchmarks, ranking
 from server.api import documents, errors, examples, rendering
 from server.api.edge import Asker, WebDependency, answers, document_answer, not_modified, read
 from server.api.identity import Identity
-from server.errors import NotAuthenticated, NotFound
+from server.errors import NotAuthenticated, NotFound, PhaseClosed
 
 router = APIRouter(tags=["leaderboards"])
 
@@ -45,6 +46,33 @@ def list_benchmarks(request: Request, web: WebDependency, asker: Asker) -> Respo
         rows = [rendering.benchmark_document(one) for one in benchmarks.list_benchmarks(session)]
         body = msgspec.json.encode(documents.BenchmarkList(benchmarks=rows))
         return _public(request, body, "application/json")
+
+    return read(web, asker, work)
+
+
+@router.get(
+    "/benchmarks/{benchmark}/{phase}/images",
+    summary="The images of a phase with their cameras",
+    responses=answers(
+        NotAuthenticated,
+        errors.TooManyRequests,
+        NotFound,
+        PhaseClosed,
+        errors.ValidationFailed,
+        s200=document_answer("What `cs3d validate --images` takes.", ImageList, headers={"ETag": "Version"}),
+        s304=_NOT_MODIFIED,
+    ),
+)
+def show_images(request: Request, benchmark: Slug, phase: Slug, web: WebDependency, asker: Asker) -> Response:
+    """List the images that need a prediction file: all of the ground truth that is public in a hidden phase."""
+
+    def work(session: Session, identity: Identity | None) -> Response:
+        del identity
+        found = benchmarks.find_phase(session, benchmark, phase)
+        if found.ground_truth is None:
+            raise PhaseClosed(f"phase {phase} has no images yet: its ground truth is not imported")
+        body = web.services.blobs.read(found.ground_truth.image_list_sha256)
+        return _public(request, body, "application/json", file_name=f"{found.benchmark.slug}-{found.slug}-images.json")
 
     return read(web, asker, work)
 

@@ -3,11 +3,14 @@
 import csv
 import io
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from client.main import main
 from tests.integration.api.test_following import EXPECTED_MDS, own, zip_with
 from tests.integration.site import Site, send
+from tests.services.installation import SMALL_CASE
 
 BOARD = "/api/v1/leaderboards/cs3d/test"
 NOTHING_FOUND = {f"bonn_00000{n}_000019_x.json": b'{"objects": []}' for n in (0, 1)}
@@ -87,3 +90,15 @@ def test_benchmarks_are_listed(site: Site) -> None:
         (benchmark,) = nobody.get("/api/v1/benchmarks").json()["benchmarks"]
     (phase,) = benchmark["phases"]
     assert (benchmark["slug"], phase["slug"], phase["is_open"], phase["images"]) == ("cs3d", "test", False, 2)
+
+
+def test_the_images_of_a_hidden_phase_are_public(site: Site, tmp_path: Path) -> None:
+    """Names and cameras, nothing else: what `cs3d validate --images` needs, for everybody."""
+    with site.client() as nobody:
+        response = nobody.get("/api/v1/benchmarks/cs3d/test/images")
+        assert nobody.get("/api/v1/benchmarks/cs3d/none/images").status_code == 404
+    document = response.json()
+    assert document["images"] == ["bonn_000000_000019", "bonn_000001_000019"]
+    assert set(document) == {"images", "intrinsics_px", "sensor_from_vehicle"}
+    (tmp_path / "images.json").write_bytes(response.content)
+    assert main(["validate", str(SMALL_CASE / "pred"), "--images", str(tmp_path / "images.json")]) == 0
