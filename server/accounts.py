@@ -106,6 +106,13 @@ def set_password(session: Session, user: User, password: str, *, actor: str) -> 
     audit.record(session, actor=actor, action="user.password_set", subject=audit.subject_of(user))
 
 
+def disable_user(session: Session, user: User, *, actor: str) -> None:
+    """End a user's access for good; nothing happens when it has ended already."""
+    if user.disabled_at is None:
+        user.disabled_at = database.now(session)
+        audit.record(session, actor=actor, action="user.disabled", subject=audit.subject_of(user))
+
+
 def create_team(session: Session, *, slug: str, name: str, members: list[User], actor: str) -> Team:
     """Create a team with its first members.
 

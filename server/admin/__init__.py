@@ -3,7 +3,7 @@
 main.py          the command line: settings, errors, output
 command.py       what a command is and what it gives back
 installation.py  init, migrate, serve, worker
-people.py        create-user, create-team, add-member, create-token
+people.py        create-user, set-password, disable-user, create-team, add-member, create-token
 benchmarks.py    create-benchmark, create-phase, import-ground-truth, grant
 submissions.py   requeue, publish, release, status
 checking.py      check

@@ -17,6 +17,11 @@ def add_commands(subparsers: Subparsers) -> None:
     user.add_argument("--name", required=True, help="as shown to others")
     user.add_argument("--maintainer", action="store_true", help="may see and do everything")
     user.add_argument("--password-stdin", action="store_true", help="read the password from standard input")
+    renewed = add(subparsers, "set-password", set_password)
+    renewed.add_argument("email")
+    renewed.add_argument("--password-stdin", action="store_true", help="read the password from standard input")
+    disabled = add(subparsers, "disable-user", disable_user)
+    disabled.add_argument("email")
     team = add(subparsers, "create-team", create_team)
     team.add_argument("team", help="short name for addresses: letters, digits, hyphens")
     team.add_argument("--name", required=True, help="as shown on leaderboards")
@@ -33,8 +38,7 @@ def add_commands(subparsers: Subparsers) -> None:
 
 def create_user(args: argparse.Namespace, services: Services) -> Outcome:
     """Create an account; without --password-stdin a password is generated and shown once."""
-    generated = not args.password_stdin
-    password = secrets.token_urlsafe(12) if generated else sys.stdin.readline().rstrip("\n")
+    password = _password(args)
     with services.transaction() as session:
         user = accounts.create_user(
             session,
@@ -46,10 +50,32 @@ def create_user(args: argparse.Namespace, services: Services) -> Outcome:
         )
         data = {"id": user.id, "email": user.email, "name": user.name, "maintainer": user.is_maintainer}
     text = f"Created {'maintainer' if args.maintainer else 'user'} {args.email}."
-    if generated:
+    if not args.password_stdin:
         data["password"] = password
         text += f" Password, shown only now: {password}"
     return Outcome(data=data, text=text)
+
+
+def set_password(args: argparse.Namespace, services: Services) -> Outcome:
+    """Give a user another password; without --password-stdin it is generated and shown once."""
+    password = _password(args)
+    with services.transaction() as session:
+        accounts.set_password(session, accounts.find_user(session, args.email), password, actor=actor())
+    shown = {} if args.password_stdin else {"password": password}
+    text = f"Password of {args.email} set." + "".join(f" Shown only now: {value}" for value in shown.values())
+    return Outcome(data={"email": args.email, **shown}, text=text)
+
+
+def disable_user(args: argparse.Namespace, services: Services) -> Outcome:
+    """End a user's access: passwords, login sessions and tokens no longer work. Submissions stay."""
+    with services.transaction() as session:
+        accounts.disable_user(session, accounts.find_user(session, args.email), actor=actor())
+    return Outcome(data={"email": args.email, "disabled": True}, text=f"{args.email} has no access any more.")
+
+
+def _password(args: argparse.Namespace) -> str:
+    """Read or generate a password."""
+    return sys.stdin.readline().rstrip("\n") if args.password_stdin else secrets.token_urlsafe(12)
 
 
 def create_team(args: argparse.Namespace, services: Services) -> Outcome:

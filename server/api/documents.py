@@ -28,7 +28,8 @@ class PredictionsFile(msgspec.Struct, frozen=True, kw_only=True):
 
     sha256: str
     size_bytes: int
-    file_name: str
+    file_name: str | None
+    """As its uploader named it; for the team and maintainers."""
 
 
 class Failure(msgspec.Struct, frozen=True, kw_only=True):

@@ -9,7 +9,7 @@ from server import integrity
 from server.api import documents, errors, examples, rendering
 from server.api.edge import Asker, WebDependency, answers, change, document_answer, json_response, read
 from server.api.identity import Identity
-from server.api.submissions import SubmissionId, owned, visible
+from server.api.submissions import SubmissionId, owned, shown_to_owner, visible
 from server.errors import Forbidden, NotAuthenticated, NotFound, NotScored
 
 router = APIRouter(prefix="/submissions", tags=["submissions"])
@@ -52,11 +52,11 @@ def show_integrity(submission_id: SubmissionId, web: WebDependency, asker: Asker
 def release_submission(submission_id: SubmissionId, web: WebDependency, asker: Asker) -> Response:
     """Decide that the score may rank."""
 
-    def work(session: Session, identity: Identity) -> Response:
+    def work(session: Session, identity: Identity) -> None:
         submission = owned(session, submission_id, identity)
         if not identity.user.is_maintainer:
             raise Forbidden("only a maintainer may release a held submission")
         integrity.release(session, submission, identity.actor)
-        return json_response(rendering.submission_document(submission, web.services.blobs, owned=True))
 
-    return change(web, asker, work)
+    change(web, asker, work)
+    return shown_to_owner(web, asker, submission_id)

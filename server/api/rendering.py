@@ -46,7 +46,7 @@ def submission_document(submission: Submission, blobs: Blobs, *, owned: bool) ->
         progress=_progress(submission),
         publication=submission.publication.value,
         held=submission.held_reason if owned else None,
-        predictions=_predictions(submission),
+        predictions=_predictions(submission, owned=owned),
         failure=_failure(submission) if owned else None,
         report=report_of(submission, blobs) if owned else None,
         mds=shown.mds if shown else None,
@@ -131,13 +131,13 @@ def _progress(submission: Submission) -> documents.Progress | None:
     )
 
 
-def _predictions(submission: Submission) -> documents.PredictionsFile:
+def _predictions(submission: Submission, *, owned: bool) -> documents.PredictionsFile:
     session = object_session(submission)
     blob = session.get(Blob, submission.predictions_sha256) if session else None
     return documents.PredictionsFile(
         sha256=submission.predictions_sha256,
         size_bytes=blob.size_bytes if blob else 0,
-        file_name=submission.file_name,
+        file_name=submission.file_name if owned else None,
     )
 
 

@@ -192,13 +192,13 @@ def change_publication(
 ) -> Response:
     """Make the submission its method's row on the leaderboard, or take it off."""
 
-    def work(session: Session, identity: Identity) -> Response:
+    def work(session: Session, identity: Identity) -> None:
         submission = owned(session, submission_id, identity)
         act = submissions.publish if body.publication == "published" else submissions.withdraw
         act(session, submission, identity.actor)
-        return json_response(rendering.submission_document(submission, web.services.blobs, owned=True))
 
-    return change(web, asker, work)
+    change(web, asker, work)
+    return shown_to_owner(web, asker, submission_id)
 
 
 @router.post(
@@ -215,14 +215,21 @@ def change_publication(
 def cancel_submission(submission_id: SubmissionId, web: WebDependency, asker: Asker) -> Response:
     """End the submission; its quota is given back."""
 
-    def work(session: Session, identity: Identity) -> Response:
-        submission = owned(session, submission_id, identity)
-        submissions.cancel(session, submission, identity.actor)
-        session.flush()
-        session.refresh(submission)
-        return json_response(rendering.submission_document(submission, web.services.blobs, owned=True))
+    def work(session: Session, identity: Identity) -> None:
+        submissions.cancel(session, owned(session, submission_id, identity), identity.actor)
 
-    return change(web, asker, work)
+    change(web, asker, work)
+    return shown_to_owner(web, asker, submission_id)
+
+
+def shown_to_owner(web: Web, asker: Credentials, submission_id: str) -> Response:
+    """Answer with a submission after a change: its report is read once the record's locks are free."""
+
+    def work(session: Session, identity: Identity | None) -> Response:
+        submission, mine = visible(session, submission_id, identity)
+        return json_response(rendering.submission_document(submission, web.services.blobs, owned=mine))
+
+    return read(web, asker, work)
 
 
 def _view(web: Web, asker: Credentials, submission_id: str) -> _View:

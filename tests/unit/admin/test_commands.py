@@ -15,6 +15,7 @@ import structlog
 from evaluator.synthetic import synthesize_ground_truth, write_zip
 from server import accounts, benchmarks, lifecycle, submissions
 from server.admin.main import main
+from server.errors import NotAuthenticated
 from server.models import SubmissionState
 from server.services import Services
 from server.settings import Settings
@@ -292,3 +293,22 @@ def test_check_names_what_does_not_hold(
     assert main(["check", "--quick", "--data-dir", str(data_dir), "--json"]) == 1
     violations = json.loads(capsys.readouterr().out)["violations"]
     assert ("every_row_has_its_blob", True) in {(found["rule"], sha256 in str(found)) for found in violations}
+
+
+def test_a_password_is_replaced_and_access_ended(admin: Admin, services: Services) -> None:
+    """The new password logs in, the old one does not; a disabled user has neither password nor token."""
+    old = admin("create-user", "ann@example.org", "--name", "Ann")["password"]
+    admin("create-team", "lab", "--name", "The Lab", "--member", "ann@example.org")
+    secret = admin("create-token", "ann@example.org", "lab")["token"]
+    new = admin("set-password", "ann@example.org")["password"]
+    with services.transaction() as session:
+        assert accounts.authenticate_password(session, "ann@example.org", new).name == "Ann"
+        with pytest.raises(NotAuthenticated):
+            accounts.authenticate_password(session, "ann@example.org", old)
+        assert accounts.authenticate_token(session, secret).name == "cs3d-admin"
+    admin("disable-user", "ann@example.org")
+    with services.transaction() as session:
+        with pytest.raises(NotAuthenticated):
+            accounts.authenticate_password(session, "ann@example.org", new)
+        with pytest.raises(NotAuthenticated):
+            accounts.authenticate_token(session, secret)
