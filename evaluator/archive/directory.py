@@ -66,7 +66,7 @@ def read_directory(archive: Archive, directory: Directory) -> Iterator[Entry]:
 def _read_entry(archive: Archive, at: int) -> tuple[Entry, int]:
     """Read one entry and give the offset after it."""
     (_, _, _, flags, method, _, _, crc32, packed, expanded, name_length, extra_length, comment_length, disk, _) = (
-        fields := _CENTRAL.unpack_from(archive, at)
+        fields := _CENTRAL.unpack(archive[at : at + _CENTRAL.size])
     )[:15]
     attributes, offset = fields[15:]
     name_at = at + _CENTRAL.size

@@ -5,12 +5,12 @@ Section numbers refer to PKWARE's APPNOTE.TXT 6.3.10.
 
 import struct
 from dataclasses import dataclass
-from mmap import mmap
 
+from evaluator.archive.file_bytes import FileBytes
 from evaluator.archive.framing_error import FramingError
 from evaluator.codes import Code
 
-Archive = bytes | mmap
+Archive = bytes | FileBytes
 """All bytes of a zip; a slice of either kind is `bytes`."""
 
 _END = struct.Struct("<4sHHHHIIH")  # 4.3.16
@@ -58,7 +58,7 @@ def find_directory(archive: Archive) -> Directory:
         FramingError: when the file is no zip, or its end records are damaged or contradict each other.
     """
     at = _find_end_record(archive)
-    narrow = _END.unpack_from(archive, at)[1:7]
+    narrow = _END.unpack(archive[at : at + _END.size])[1:7]
     if any(value == cap for value, cap in zip(narrow, _SATURATED, strict=True)) or _has_locator(archive, at):
         at, wide = _read_end64(archive, at)
         _check_widened(narrow, wide)
@@ -126,12 +126,12 @@ def _read_end64(archive: Archive, end_at: int) -> tuple[int, tuple[int, ...]]:
     if not _has_locator(archive, end_at):
         raise FramingError(Code.ZIP64_MISMATCH, "values are left to a ZIP64 record, but there is no locator for it")
     locator_at = end_at - _LOCATOR64.size
-    _, disk, at, disks = _LOCATOR64.unpack_from(archive, locator_at)
+    _, disk, at, disks = _LOCATOR64.unpack(archive[locator_at : locator_at + _LOCATOR64.size])
     if disk or disks > 1:
         raise FramingError(Code.MULTI_DISK, f"the ZIP64 locator speaks of {disks} disks")
     if at + _END64.size > locator_at or archive[at : at + 4] != _END64_SIGNATURE:
         raise FramingError(Code.ZIP64_MISMATCH, f"there is no ZIP64 end record at byte {at}")
-    _, length, _, _, *wide = _END64.unpack_from(archive, at)
+    _, length, _, _, *wide = _END64.unpack(archive[at : at + _END64.size])
     if at + 12 + length != locator_at:
         raise FramingError(Code.ZIP64_MISMATCH, f"the ZIP64 end record of {length} bytes does not end at its locator")
     return at, tuple(wide)

@@ -147,8 +147,8 @@ def _locate_members(
 def _data_start(archive: Archive, entry: Entry, end: int) -> int:
     """Check a member's own header against the directory and find its packed bytes, which end at `end` (4.3.7)."""
     at = entry.header_offset
-    (signature, _, flags, method, _, _, crc32, packed, expanded, name_length, extra_length) = _LOCAL.unpack_from(
-        archive, at
+    (signature, _, flags, method, _, _, crc32, packed, expanded, name_length, extra_length) = _LOCAL.unpack(
+        archive[at : at + _LOCAL.size]
     )
     name_at = at + _LOCAL.size
     extra_at = name_at + name_length

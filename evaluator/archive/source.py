@@ -5,11 +5,11 @@ import os
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from evaluator.archive.end_record import Archive
+from evaluator.archive.file_bytes import FileBytes
 from evaluator.archive.framing import Member, check_framing
 from evaluator.archive.inflate import MemberError, unpack
 from evaluator.archive.names import check_names
@@ -80,7 +80,7 @@ def open_source(path: Path, limits: Limits, findings: Findings) -> Iterator[Sour
 
 @contextmanager
 def open_archive(path: Path, findings: Findings) -> Iterator[Archive | None]:
-    """Map a file into memory; yields None when it cannot be opened."""
+    """Open a file for reading in place; yields None when it cannot be opened."""
     try:
         file = _open_regular(path)
     except (OSError, ValueError) as error:
@@ -88,11 +88,7 @@ def open_archive(path: Path, findings: Findings) -> Iterator[Archive | None]:
         yield None
         return
     with file:
-        if not os.fstat(file.fileno()).st_size:
-            yield b""
-            return
-        with mmap(file.fileno(), 0, access=ACCESS_READ) as archive:
-            yield archive
+        yield FileBytes(file.fileno())
 
 
 def _open_regular(path: Path) -> BinaryIO:
