@@ -106,7 +106,8 @@ class Queue:
         """
         try:
             self._app.send_task(EVALUATE_TASK, args=[str(submission_id)], priority=priority)
-        except (OperationalError, RedisError, OSError) as error:
+        # RuntimeError: kombu's pool was closed, here or by another user of it in this process.
+        except (OperationalError, RedisError, OSError, RuntimeError) as error:
             log.warning("enqueue_failed", submission_id=str(submission_id), error=repr(error))
             return False
         return True
