@@ -8,7 +8,6 @@ from typing import Literal
 
 import msgspec
 
-from evaluator.ground_truth import ImageList
 from evaluator.integrity import IntegrityAudit
 from evaluator.report import Report
 from evaluator.results import Scores
@@ -191,6 +190,17 @@ class UploadDocument(msgspec.Struct, frozen=True, kw_only=True):
     """What the upload became, once it is complete."""
 
 
+class ImagesDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """The images of a phase with their cameras: `evaluator.ground_truth.ImageList` as JSON."""
+
+    images: list[str]
+    """Names, sorted."""
+    intrinsics_px: list[list[float]]
+    """fx, fy, u0, v0 of each."""
+    sensor_from_vehicle: list[list[list[float]]]
+    """3 rows of 4: the ISO 8855 vehicle frame to the camera frame."""
+
+
 EXPOSED = (
     SubmissionDocument,
     SubmissionList,
@@ -199,6 +209,6 @@ EXPOSED = (
     BenchmarkList,
     UploadDocument,
     IntegrityAudit,
-    ImageList,
+    ImagesDocument,
 )
 """Every type an endpoint answers with, for OpenAPI."""

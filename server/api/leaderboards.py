@@ -11,7 +11,6 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 
-from evaluator.ground_truth import ImageList
 from server import benchmarks, ranking
 from server.api import documents, errors, examples, rendering
 from server.api.edge import Asker, WebDependency, answers, document_answer, not_modified, read
@@ -26,6 +25,15 @@ _MEANS = ("mds", "map", "mbevcd", "myaw_sim", "mpr_sim", "msize_sim")
 _ROW = ("rank", "method", "method_name", "team", "team_name", "submission_id", "created_at", "signature")
 
 _NOT_MODIFIED = {"description": "Nothing changed since the version in If-None-Match."}
+
+
+_RANKED = document_answer(
+    "Published methods, best mDS first.",
+    documents.LeaderboardDocument,
+    example=examples.LEADERBOARD,
+    headers={"ETag": "Version"},
+)
+_RANKED["content"]["text/csv"] = {"schema": {"type": "string"}}
 
 
 @router.get(
@@ -59,7 +67,9 @@ def list_benchmarks(request: Request, web: WebDependency, asker: Asker) -> Respo
         NotFound,
         PhaseClosed,
         errors.ValidationFailed,
-        s200=document_answer("What `cs3d validate --images` takes.", ImageList, headers={"ETag": "Version"}),
+        s200=document_answer(
+            "What `cs3d validate --images` takes.", documents.ImagesDocument, headers={"ETag": "Version"}
+        ),
         s304=_NOT_MODIFIED,
     ),
 )
@@ -85,14 +95,7 @@ def show_images(request: Request, benchmark: Slug, phase: Slug, web: WebDependen
         errors.TooManyRequests,
         NotFound,
         errors.ValidationFailed,
-        s200={
-            **document_answer(
-                "Published methods, best mDS first.",
-                documents.LeaderboardDocument,
-                example=examples.LEADERBOARD,
-                headers={"ETag": "Version"},
-            )
-        },
+        s200=_RANKED,
         s304=_NOT_MODIFIED,
     ),
 )
