@@ -7,6 +7,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).with_name("run_reference.py")
 
@@ -16,6 +18,17 @@ def reference_python() -> Path | None:
     named = os.environ.get("CS3D_REFERENCE_PYTHON")
     path = Path(named) if named else ROOT / ".cache" / "reference" / "bin" / "python"
     return path if path.exists() else None
+
+
+def required_reference() -> Path:
+    """Return that interpreter; without it the test is skipped on a laptop and fails in CI, where nothing may be missing."""
+    python = reference_python()
+    if python is None:
+        message = "The reference is not installed; run the tests with `python3 do.py test`."
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return python
 
 
 def reference_results(cases: list[dict[str, Any]], python: Path) -> list[Any]:

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import pytest
 
 from evaluator.cityscapes_format import cityscapes_results
 from evaluator.evaluation import evaluate
 from evaluator.ground_truth import read_ground_truth
 from evaluator.protocol import CITYSCAPES3D
 from tests.prediction_arrays import load_predictions
-from tests.reference.process import reference_python, reference_results
+from tests.reference.process import reference_results, required_reference
 from tests.reference.random_cases import write_case
 from tests.results_comparison import differences
 
@@ -40,11 +39,7 @@ def our_results(case: dict[str, Any]) -> dict[str, Any]:
 
 def test_random_cases_agree_with_the_reference_in_every_number(tmp_path: Path) -> None:
     """Boxes cut by the near plane, ties, scores on thresholds and every parameter give the reference's numbers."""
-    python = reference_python()
-    if python is None:
-        if os.environ.get("CI"):
-            pytest.fail("The reference is not installed; run the tests with `python3 do.py test`.")
-        pytest.skip("The reference is not installed; run the tests with `python3 do.py test`.")
+    python = required_reference()
     cases = [write_case(seed, tmp_path) for seed in SEEDS]
 
     expected = reference_results(cases, python)

@@ -1,5 +1,4 @@
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from evaluator.intake import Intake, read_predictions, read_predictions_lenientl
 from tests.data.corpus_archives import IMAGES, PAIR
 from tests.data.corpus_predictions import box, document
 from tests.data.corpus_zip import write_zip
-from tests.reference.process import reference_python, reference_results
+from tests.reference.process import reference_results, required_reference
 from tests.results_comparison import differences
 
 ORACLE = Path(__file__).parents[2] / "data" / "oracle"
@@ -176,11 +175,7 @@ SLOPPY = {
 
 def test_numbers_on_sloppy_input_equal_the_reference(ground_truth: Path) -> None:
     """On input that only the lenient reading takes, every number of the reference's results is reproduced."""
-    python = reference_python()
-    if python is None:
-        if os.environ.get("CI"):
-            pytest.fail("The reference is not installed; run the tests with `python3 do.py test`.")
-        pytest.skip("The reference is not installed; run the tests with `python3 do.py test`.")
+    python = required_reference()
     intake = _read(ground_truth, SLOPPY)
     assert intake.predictions is not None
     ours = cityscapes_results(evaluate(read_ground_truth(ground_truth), intake.predictions).scores)
