@@ -15,6 +15,9 @@ from tests.services.processes import wait_until
 REACHED_S = 30.0
 """With participants at work every point is passed within this."""
 
+TAKEN_OVER_S = 60.0
+"""What a frozen worker held is done by others within this."""
+
 
 def calm(deployment: Deployment) -> Iterator[str]:
     """Before any fault: a message sent after the commit reaches a worker, and the sweeper has nothing to send again."""
@@ -78,11 +81,15 @@ def fill_disk(deployment: Deployment) -> None:
 
 
 def freeze_worker(deployment: Deployment) -> None:
-    """A worker stands still with its scores computed, for three lease times; then it goes on."""
+    """A worker stands still with its scores computed, for three lease times and until others did its work; it goes on."""
     before = set(hooks.taken_by(deployment.faults, "scored"))
     hooks.arm(deployment.faults, "scored", Strike(stop=True))
     wait_until(lambda: not (deployment.faults / "scored").exists(), timeout_s=REACHED_S, what="scored")
+    waiting = set(deployment.unfinished())
     time.sleep(3 * LEASE_S)
+    wait_until(
+        lambda: not waiting & set(deployment.unfinished()), timeout_s=TAKEN_OVER_S, what="the frozen worker's work"
+    )
     wake([process for process in hooks.taken_by(deployment.faults, "scored") if process not in before])
 
 

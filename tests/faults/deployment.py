@@ -8,6 +8,7 @@ import signal
 import sys
 import tempfile
 import time
+import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import psutil
 import sqlalchemy as sa
 
 from server import accounts, database
+from server.models import Submission, SubmissionState
 from server.services import Services
 from server.settings import Settings
 from tests.faults import hooks, sabotage
@@ -28,6 +30,8 @@ from tests.services.web import WebProcess
 from tests.services.worker import WorkerProcess, environment_of
 
 LEASE_S = 3.0
+DRAIN_S = 60.0
+"""A worker ends its task within this."""
 TIMES: dict[str, Any] = {
     "lease_s": LEASE_S, "heartbeat_s": 0.5, "sweep_s": 1.0, "resend_s": 3.0, "broker_timeout_s": 1.5,
     "disk_floor_bytes": 0, "worker_concurrency": 1,
@@ -157,6 +161,18 @@ class Deployment:
                     _start_patiently(service)
                 else:
                     service.launch()
+
+    def unfinished(self) -> dict[uuid.UUID, SubmissionState]:
+        """Look up which submissions are in no terminal state."""
+        terminal = [state for state in SubmissionState if state.terminal]
+        with self.services.snapshot() as session:
+            query = sa.select(Submission.id, Submission.state).where(Submission.state.not_in(terminal))
+            return {row.id: row.state for row in session.execute(query)}
+
+    def drain(self) -> None:
+        """Let the workers end what they are at, a task that woke up late too, and stop."""
+        for worker in self.workers:
+            worker.stop(timeout_s=DRAIN_S)
 
     def logs(self) -> dict[str, str]:
         """Read what our own processes wrote."""

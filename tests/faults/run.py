@@ -104,6 +104,7 @@ def _run(deployment: Deployment, figures: Figures, programme: Programme) -> None
     deployment.revive()
     deployment.wait_until_ready()
     figures.broken += _settle(deployment, programme.recovery_s)
+    deployment.drain()
     figures.broken += judge(deployment, clients)
     _count(deployment, figures)
 
@@ -111,17 +112,10 @@ def _run(deployment: Deployment, figures: Figures, programme: Programme) -> None
 def _settle(deployment: Deployment, recovery_s: float) -> Iterator[str]:
     """Wait until nothing is on its way, without helping."""
     try:
-        wait_until(lambda: not _unfinished(deployment), timeout_s=recovery_s, what="the end of every submission")
+        wait_until(lambda: not deployment.unfinished(), timeout_s=recovery_s, what="the end of every submission")
     except TimeoutError:
-        for submission_id, state in _unfinished(deployment):
+        for submission_id, state in deployment.unfinished().items():
             yield f"{submission_id} is stuck in {state}"
-
-
-def _unfinished(deployment: Deployment) -> list[tuple[object, SubmissionState]]:
-    terminal = [state for state in SubmissionState if state.terminal]
-    with deployment.services.snapshot() as session:
-        query = sa.select(Submission.id, Submission.state).where(Submission.state.not_in(terminal))
-        return [(row.id, row.state) for row in session.execute(query)]
 
 
 def _count(deployment: Deployment, figures: Figures) -> None:
