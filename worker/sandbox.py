@@ -20,6 +20,9 @@ log = structlog.get_logger(__name__)
 START_S = 60.0
 """Importing the evaluator takes a fraction of a second; a machine that needs longer than this is broken."""
 
+PROGRAM = "worker.child"
+"""The module that the scoring process runs."""
+
 _KEPT_VARIABLES = ("PATH", "LANG", "LC_ALL", "TZ", "TMPDIR", "SYSTEMROOT")
 """All that the child gets of our environment. Everything else may hold a credential."""
 
@@ -43,7 +46,7 @@ class Sandbox:
             return
         self.kill()
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "worker.child", str(os.getpid())],
+            [sys.executable, "-P", "-m", PROGRAM, str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=_clean_environment(),
