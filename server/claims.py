@@ -23,6 +23,14 @@ class Claim:
     ground_truth_sha256: str
     image_list_sha256: str
     protocol: str
+    item_id: int | None = None
+    """Of a re-scoring, when that is what is held; None: the submission itself."""
+
+    @property
+    def name(self) -> str:
+        """Name the attempt apart from every other one."""
+        held = self.submission_id if self.item_id is None else f"rescoring-{self.item_id}"
+        return f"{held}-{self.attempt}"
 
     @property
     def actor(self) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar, Protocol
 
 import msgspec
 import structlog
@@ -41,7 +42,11 @@ def evaluate_submission(services: Services, sandbox: Sandbox, submission_id: uui
     held = _claim(services, submission_id, worker)
     if held is None:
         return
-    attempt = _Attempt(services, held)
+    carry_out(Attempt(services, held), sandbox)
+
+
+def carry_out(attempt: "Attempt", sandbox: Sandbox) -> None:
+    """Work on what an attempt holds, and write whatever end it comes to."""
     try:
         attempt.work(sandbox)
     except LeaseLost as error:
@@ -51,10 +56,10 @@ def evaluate_submission(services: Services, sandbox: Sandbox, submission_id: uui
     except SoftTimeLimitExceeded:
         attempt.lose("time_limit", "the worker's own time limit was reached")
     except (Unavailable, StorageFull) as error:
-        log.warning("given_back", submission_id=str(submission_id), error=repr(error))
+        log.warning("given_back", submission_id=str(attempt.held.submission_id), error=repr(error))
         attempt.give_back(f"the worker lacked what it needs: {error.code}")
     except (ServerError, SandboxError, OSError) as error:
-        log.exception("attempt_broke_down", submission_id=str(submission_id))
+        log.exception("attempt_broke_down", submission_id=str(attempt.held.submission_id))
         attempt.lose("worker_error", f"the worker broke down: {type(error).__name__}", again_at_once=False)
     finally:
         shutil.rmtree(attempt.folder, ignore_errors=True)
@@ -73,9 +78,37 @@ def _claim(services: Services, submission_id: uuid.UUID, worker: str) -> Claim |
     return held
 
 
+class Record(Protocol):
+    """What keeps a claim: `server.lifecycle` for submissions, or another module with these functions."""
+
+    def heartbeat(self, session: Session, held: Claim, *, stage: str, images_done: int, images_total: int) -> None:
+        """Renew the lease and write the progress."""
+
+    def validated(self, session: Session, held: Claim, *, report_sha256: str) -> None:
+        """Note that the predictions are without errors."""
+
+    def record_score(self, session: Session, held: Claim, result: Result) -> object:
+        """Write the score and the end of the attempt."""
+
+    def reject(self, session: Session, held: Claim, *, report_sha256: str) -> None:
+        """Write that the predictions have errors."""
+
+    def fail(self, session: Session, held: Claim, *, code: str, detail: str) -> None:
+        """Write that trying again would not help."""
+
+    def give_back(self, session: Session, held: Claim, *, detail: str) -> None:
+        """Let it wait again without counting the attempt."""
+
+    def lose(self, session: Session, held: Claim, *, code: str, detail: str) -> str:
+        """Count the attempt as lost; return the state it is in afterwards."""
+        ...
+
+
 @dataclass(slots=True)
-class _Attempt:
+class Attempt:
     """One claim being worked on."""
+
+    record: ClassVar[Record] = lifecycle
 
     services: Services
     held: Claim
@@ -87,7 +120,7 @@ class _Attempt:
     @property
     def folder(self) -> Path:
         """Where the child writes its results: beside the blobs, so that keeping them is a rename."""
-        return self.services.blobs.incoming / f"{self.held.submission_id}-{self.held.attempt}.d"
+        return self.services.blobs.incoming / f"{self.held.name}.d"
 
     def work(self, sandbox: Sandbox) -> None:
         """Run the job and follow its events to the end."""
@@ -154,7 +187,7 @@ class _Attempt:
         now = self.progress
         try:
             with self.services.transaction() as session:
-                lifecycle.heartbeat(session, self.held, stage=now.stage, images_done=now.done, images_total=now.total)
+                self.record.heartbeat(session, self.held, stage=now.stage, images_done=now.done, images_total=now.total)
         except Unavailable as error:
             log.warning("heartbeat_failed", error=repr(error))
 
@@ -163,7 +196,7 @@ class _Attempt:
 
         def write(session: Session) -> None:
             record_blob(session, self.services.blobs, sha256, size_bytes)
-            lifecycle.validated(session, self.held, report_sha256=sha256)
+            self.record.validated(session, self.held, report_sha256=sha256)
 
         self._write(write)
         self.last_heartbeat_s = time.monotonic()
@@ -173,7 +206,7 @@ class _Attempt:
 
         def write(session: Session) -> None:
             record_blob(session, self.services.blobs, sha256, size_bytes)
-            lifecycle.reject(session, self.held, report_sha256=sha256)
+            self.record.reject(session, self.held, report_sha256=sha256)
 
         self._conclude(write)
 
@@ -190,7 +223,7 @@ class _Attempt:
         def write(session: Session) -> None:
             for sha256, size_bytes in kept.values():
                 record_blob(session, self.services.blobs, sha256, size_bytes)
-            lifecycle.record_score(session, self.held, result)
+            self.record.record_score(session, self.held, result)
 
         self._conclude(write)
         mail.tell_of_hold(self.services, self.held.submission_id)
@@ -203,23 +236,31 @@ class _Attempt:
     def fail(self, code: str, detail: str) -> None:
         """End the submission as failed and tell the maintainers."""
         with _end_is_written_elsewhere():
-            self._conclude(lambda session: lifecycle.fail(session, self.held, code=code, detail=detail))
-            mail.tell_of_failure(self.services, self.held.submission_id)
+            self._conclude(lambda session: self.record.fail(session, self.held, code=code, detail=detail))
+            self._tell_of_failure()
 
     def lose(self, code: str, detail: str, *, again_at_once: bool = True) -> None:
         """Count the attempt as lost; the submission is tried again at once or by the sweeper, or fails at the cap."""
-        states: list[SubmissionState] = []
+        states: list[str] = []
         with _end_is_written_elsewhere():
-            self._conclude(lambda session: states.append(lifecycle.lose(session, self.held, code=code, detail=detail)))
-        if states and states[-1] is SubmissionState.FAILED:
-            mail.tell_of_failure(self.services, self.held.submission_id)
+            self._conclude(
+                lambda session: states.append(self.record.lose(session, self.held, code=code, detail=detail))
+            )
+        if states and states[-1] == SubmissionState.FAILED:
+            self._tell_of_failure()
         elif states and again_at_once:
-            self.services.queue.enqueue(self.held.submission_id)
+            self._send_again()
+
+    def _tell_of_failure(self) -> None:
+        mail.tell_of_failure(self.services, self.held.submission_id)
+
+    def _send_again(self) -> None:
+        self.services.queue.enqueue(self.held.submission_id)
 
     def give_back(self, detail: str) -> None:
         """Let the submission wait again; the sweeper sends it once more after a while, which spares what is ailing."""
         with _end_is_written_elsewhere():
-            self._conclude(lambda session: lifecycle.give_back(session, self.held, detail=detail))
+            self._conclude(lambda session: self.record.give_back(session, self.held, detail=detail))
 
     def _conclude(self, write: Callable[[Session], object]) -> None:
         self._write(write)

@@ -7,6 +7,6 @@ hooks.install(hooks.WORKER_POINTS)
 from worker import evaluation  # noqa: E402 - after the points are in place
 from worker.app import app  # noqa: E402 - likewise
 
-hooks.wrap(evaluation._Attempt, "_scored", before="scored")
+hooks.wrap(evaluation.Attempt, "_scored", before="scored")
 
 __all__ = ["app"]
