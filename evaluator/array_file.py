@@ -6,7 +6,8 @@ each starting at a multiple of 8 bytes. Equal content gives equal bytes, so a di
 """
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -20,6 +21,9 @@ MAGIC = b"cs3d-arrays-1\n\0\0"
 _ALIGNMENT = 8
 _KINDS = "biuf"
 """numpy kinds that may be stored: plain numbers only, nothing that could hold an object."""
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 AnyArray = NDArray[Any]
 
@@ -76,6 +80,30 @@ def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         return _unpack(data)
     except (ValueError, TypeError, msgspec.DecodeError) as error:
         raise ArrayFileError(f"Not a readable array file ({error}); produce it again.") from error
+
+
+def pack_fields(record: "DataclassInstance") -> bytes:
+    """Write a dataclass whose fields are arrays and tuples of names."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    return pack({name: values[name] for name in values.keys() - arrays.keys()}, arrays)
+
+
+def unpack_fields(data: bytes, kind: "type[DataclassInstance]", *, what: str) -> dict[str, Any]:
+    """Read what `pack_fields` wrote of a dataclass of this kind: the values by field.
+
+    Args:
+        data: The file's bytes.
+        kind: The dataclass.
+        what: What it is called in messages.
+
+    Raises:
+        ArrayFileError: The bytes are something else or are cut short.
+    """
+    facts, arrays = unpack(data)
+    if facts.keys() | arrays.keys() != {field.name for field in fields(kind)}:
+        raise ArrayFileError(f"The array file does not hold {what}; produce the file again.")
+    return {**{name: tuple(value) for name, value in facts.items()}, **arrays}
 
 
 def _unpack(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:

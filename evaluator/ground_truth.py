@@ -3,10 +3,10 @@
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from typing import Any, Self
+from typing import Self
 
 import msgspec
 import numpy as np
@@ -93,9 +93,7 @@ class GroundTruth:
 
     def to_bytes(self) -> bytes:
         """Write everything to deterministic bytes (evaluator/array_file.py), for a blob named by its digest."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-        return array_file.pack({name: values[name] for name in values.keys() - arrays.keys()}, arrays)
+        return array_file.pack_fields(self)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -104,11 +102,7 @@ class GroundTruth:
         Raises:
             ArrayFileError: The bytes are something else or are cut short.
         """
-        facts, arrays = array_file.unpack(data)
-        if facts.keys() | arrays.keys() != {field.name for field in fields(cls)}:
-            raise array_file.ArrayFileError("The array file does not hold ground truth; import the ground truth again.")
-        values: dict[str, Any] = {**{name: tuple(value) for name, value in facts.items()}, **arrays}
-        return cls(**values)
+        return cls(**array_file.unpack_fields(data, cls, what="ground truth"))
 
 
 def image_name(file_name: str) -> str | None:

@@ -3,16 +3,21 @@
 Kept with the score and shown to its owner and the maintainers; it uses ground truth, so it is never shown to others.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Literal
 
 import msgspec
 import numpy as np
 
-from evaluator.evaluation import Evaluation, evaluate
+from evaluator.evaluation import Evaluation, match_by_protocol, score_by_protocol
 from evaluator.fingerprint import fingerprint
+from evaluator.ground_truth import GroundTruth
 from evaluator.predictions import Float64Array, Predictions
 from evaluator.projection import projected_corners_px
-from evaluator.protocol import Protocol
+from evaluator.protocol import Protocol, Signature
+from evaluator.results import Scores
+from evaluator.statistics import Statistics, collect
 
 MODAL_GAP_LIMIT = 0.01
 """mDS: honest modal boxes change far less, and placing all of them in an ignore region gains five times as much."""
@@ -22,6 +27,16 @@ PLAUSIBLE_BOXES_PER_IMAGE = 300
 DUPLICATE_SHARE_LIMIT = 0.2
 SIMILARITY_LIMIT = 0.5
 """Of two fingerprints; above it the submissions are nearly identical."""
+
+
+Variant = Literal["official", "projected_modal", "amodal", "evenly_spread"]
+Variants = Mapping[Variant, Statistics]
+"""Statistics of what is compared, of all images or of some; those of disjoint parts can be joined.
+
+`official` is the score itself. `projected_modal` tests ignore regions with the projected box instead of the submitted
+modal one. `amodal` is the score without the protocol's `modal`; it is left out where that changes nothing.
+`evenly_spread` has the same ranking of boxes, but scores spread evenly over (0, 1].
+"""
 
 
 class ScoreResolution(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,10 +81,46 @@ def audit(evaluation: Evaluation) -> IntegrityAudit:
         evaluation: the official result, with its predictions and ground truth.
     """
     predictions = evaluation.predictions
-    protocol = evaluation.scores.signature.protocol
-    mds = evaluation.scores.mds
-    projected = _mds(evaluation, _with_projected_modal(evaluation), msgspec.structs.replace(protocol, modal=False))
-    official = _mds(evaluation, predictions, msgspec.structs.replace(protocol, modal=False)) if protocol.modal else mds
+    spread = evenly_spread(predictions)
+    variants = collect_variants(evaluation.ground_truth, predictions, evaluation.statistics, spread)
+    return audit_variants(variants, predictions, evaluation.scores)
+
+
+def collect_variants(
+    ground_truth: GroundTruth, predictions: Predictions, official: Statistics, spread_scores: Float64Array
+) -> Variants:
+    """Evaluate what the audit compares with the official statistics.
+
+    Args:
+        ground_truth: of all images, or of a part of them.
+        predictions: of the same images.
+        official: their statistics.
+        spread_scores: (N,) what `evenly_spread` gives for these boxes among those of all images.
+    """
+    protocol = official.protocol
+    amodal = msgspec.structs.replace(protocol, modal=False)
+    projected = _with_projected_modal(ground_truth, predictions)
+    variants: dict[Variant, Statistics] = {
+        "official": official,
+        "projected_modal": _statistics(ground_truth, projected, amodal),
+        "evenly_spread": _statistics(ground_truth, replace(predictions, score=spread_scores), protocol),
+    }
+    if protocol.modal:
+        variants["amodal"] = _statistics(ground_truth, predictions, amodal)
+    return variants
+
+
+def audit_variants(variants: Variants, predictions: Predictions, scores: Scores) -> IntegrityAudit:
+    """Audit a score by what `collect_variants` gave.
+
+    Args:
+        variants: of all images.
+        predictions: of all images.
+        scores: the official ones.
+    """
+    mds = scores.mds
+    projected = _scores(variants["projected_modal"]).mds
+    official = _scores(variants["amodal"]).mds if "amodal" in variants else mds
     gap = None if official is None or projected is None else official - projected
     duplicates = _count_duplicates(predictions)
     per_image = np.bincount(predictions.image_index, minlength=1)
@@ -80,7 +131,7 @@ def audit(evaluation: Evaluation) -> IntegrityAudit:
         modal_gap=gap,
         held=bool(reasons),
         reasons=reasons,
-        score_resolution=_score_resolution(evaluation),
+        score_resolution=_score_resolution(predictions, scores, _scores(variants["evenly_spread"])),
         duplicate_boxes=duplicates,
         most_boxes_in_image=int(per_image.max()),
         images_with_many_boxes=int((per_image > PLAUSIBLE_BOXES_PER_IMAGE).sum()),
@@ -88,14 +139,21 @@ def audit(evaluation: Evaluation) -> IntegrityAudit:
     )
 
 
-def _mds(evaluation: Evaluation, predictions: Predictions, protocol: Protocol) -> float | None:
-    """Score other predictions against the same ground truth."""
-    return evaluate(evaluation.ground_truth, predictions, protocol).scores.mds
+def _statistics(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> Statistics:
+    """Evaluate other predictions, or by other rules."""
+    return collect(ground_truth, predictions, match_by_protocol(ground_truth, predictions, protocol), protocol)
 
 
-def _with_projected_modal(evaluation: Evaluation) -> Predictions:
+def _scores(statistics: Statistics) -> Scores:
+    """Score what is only compared and never kept."""
+    unsigned = Signature(
+        protocol=statistics.protocol, evaluator_version="", ground_truth_sha256="", predictions_sha256=""
+    )
+    return score_by_protocol(statistics, unsigned)
+
+
+def _with_projected_modal(ground_truth: GroundTruth, predictions: Predictions) -> Predictions:
     """Replace the submitted modal boxes, with which the reference tests ignore regions, by the projected ones."""
-    predictions, ground_truth = evaluation.predictions, evaluation.ground_truth
     corners = projected_corners_px(
         predictions.center_m,
         predictions.dimensions_m,
@@ -108,21 +166,18 @@ def _with_projected_modal(evaluation: Evaluation) -> Predictions:
     return replace(predictions, modal_px=np.ascontiguousarray(modal_px))
 
 
-def _score_resolution(evaluation: Evaluation) -> tuple[ScoreResolution, ...]:
+def _score_resolution(predictions: Predictions, scores: Scores, respread: Scores) -> tuple[ScoreResolution, ...]:
     """Look at each class's scores, and at its AP with the same ranking spread evenly."""
-    predictions = evaluation.predictions
-    spread = replace(predictions, score=_evenly_spread(predictions))
-    respread = evaluate(evaluation.ground_truth, spread, evaluation.scores.signature.protocol).scores
     resolutions = []
-    for official, evenly in zip(evaluation.scores.classes, respread.classes, strict=True):
+    for official, evenly in zip(scores.classes, respread.classes, strict=True):
         of_class = predictions.label_index == predictions.labels.index(official.label)
-        scores = predictions.score[of_class]
-        below = float((scores < LOWEST_THRESHOLD).mean()) if len(scores) else None
+        values = predictions.score[of_class]
+        below = float((values < LOWEST_THRESHOLD).mean()) if len(values) else None
         resolutions.append(
             ScoreResolution(
                 label=official.label,
-                boxes=len(scores),
-                distinct_scores=len(np.unique(scores)),
+                boxes=len(values),
+                distinct_scores=len(np.unique(values)),
                 share_below_lowest_threshold=below,
                 ap=official.ap,
                 ap_evenly_spread=evenly.ap,
@@ -131,7 +186,7 @@ def _score_resolution(evaluation: Evaluation) -> tuple[ScoreResolution, ...]:
     return tuple(resolutions)
 
 
-def _evenly_spread(predictions: Predictions) -> Float64Array:
+def evenly_spread(predictions: Predictions) -> Float64Array:
     """Replace each score by its rank within the class over the number of distinct ones, in (0, 1]; ties stay ties."""
     spread = np.zeros(len(predictions))
     for number in range(len(predictions.labels)):

@@ -131,7 +131,7 @@ def _evaluate_half(
     """Read and match the images of one part; None when there is anything to report but boxes left out."""
     before = len(_groups(findings))
     reading.assigned = reading.assigned[part]
-    predictions = _predictions_of(reading.read(None), part)
+    predictions = predictions_of(reading.read(None), part)
     truth = ground_truth_of(ground_truth, part)
     examine(predictions, images=truth.image_list(), known_labels=reading.known_labels, findings=findings)
     found = {group.code: group for group in _groups(findings)}
@@ -146,10 +146,17 @@ def _groups(findings: Findings) -> tuple[ProblemGroup, ...]:
     return findings.report(images_expected=0, images_found=0, boxes=0).groups
 
 
-def _predictions_of(predictions: Predictions, part: slice) -> Predictions:
-    """Count images from the start of the part, of which all the predictions are."""
-    images = predictions.images[part]
-    return replace(predictions, images=images, image_index=predictions.image_index - np.int32(part.start))
+def predictions_of(predictions: Predictions, part: slice) -> Predictions:
+    """Return the predictions of a part of the images, as views."""
+    first, stop, _ = part.indices(len(predictions.images))
+    rows = slice(*np.searchsorted(predictions.image_index, (first, stop)).tolist())
+    of_boxes = ("label_index", "score", "center_m", "dimensions_m", "rotation", "amodal_px", "modal_px")
+    return replace(
+        predictions,
+        images=predictions.images[part],
+        image_index=predictions.image_index[rows] - np.int32(first),
+        **{name: getattr(predictions, name)[rows] for name in of_boxes},
+    )
 
 
 def ground_truth_of(ground_truth: GroundTruth, part: slice) -> GroundTruth:

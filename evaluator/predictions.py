@@ -1,9 +1,12 @@
 """Predictions as arrays: what decoding yields and matching takes."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from evaluator import array_file
 
 Float64Array = NDArray[np.float64]
 IndexArray = NDArray[np.int32]
@@ -41,3 +44,16 @@ class Predictions:
     def __len__(self) -> int:
         """Count the boxes."""
         return len(self.score)
+
+    def to_bytes(self) -> bytes:
+        """Write everything to deterministic bytes (evaluator/array_file.py): read once, evaluated in many places."""
+        return array_file.pack_fields(self)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read what `to_bytes` wrote.
+
+        Raises:
+            ArrayFileError: The bytes are something else or are cut short.
+        """
+        return cls(**array_file.unpack_fields(data, cls, what="predictions"))
