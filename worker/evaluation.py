@@ -28,7 +28,8 @@ from server.claims import Claim, Result
 from server.errors import LeaseLost, NotFound, ServerError, StorageFull, Unavailable
 from server.models import SubmissionState
 from server.services import Services
-from worker.child import EXIT_MEMORY, Broken, Event, Exit, Job, Progress, Rejected, Scored, Validated
+from worker.child import EXIT_MEMORY
+from worker.messages import Broken, Event, Exit, Job, Progress, Rejected, Scored, Validated
 from worker.sandbox import Sandbox, SandboxError
 
 log = structlog.get_logger(__name__)

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from worker.child import Event, Exit, Job, Ready
+from worker.messages import AnyJob, Event, Exit, Ready
 
 log = structlog.get_logger(__name__)
 
@@ -55,7 +55,7 @@ class Sandbox:
         )
         self._is_ready = False
 
-    def events(self, job: Job, *, tick_s: float) -> Generator[Event | None, None, None]:
+    def events(self, job: AnyJob, *, tick_s: float) -> Generator[Event | None, None, None]:
         """Run a job and yield what it tells, ending with `Exit`.
 
         Closing the iterator early kills the job. So does its time limit.
@@ -111,7 +111,7 @@ class Sandbox:
         return process
 
     @staticmethod
-    def _hand_over(process: subprocess.Popen[bytes], job: Job) -> None:
+    def _hand_over(process: subprocess.Popen[bytes], job: AnyJob) -> None:
         """Send the job; a process that just died is noticed by the end of its events."""
         stdin = process.stdin
         if stdin is not None:

@@ -7,8 +7,8 @@ import pytest
 from server.errors import Unavailable
 from server.models import AttemptOutcome, SubmissionState
 from tests.services.installation import Installation
-from worker.child import Event, Job
 from worker.evaluation import evaluate_submission
+from worker.messages import AnyJob, Event
 from worker.sandbox import Sandbox, SandboxError
 
 
@@ -20,7 +20,7 @@ class BrokenSandbox(Sandbox):
         super().__init__()
         self.error = error
 
-    def events(self, job: Job, *, tick_s: float) -> Generator[Event | None, None, None]:
+    def events(self, job: AnyJob, *, tick_s: float) -> Generator[Event | None, None, None]:
         """Raise at the first event."""
         del job, tick_s
         raise self.error

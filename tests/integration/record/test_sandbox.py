@@ -13,7 +13,8 @@ import pytest
 from evaluator.ground_truth import read_ground_truth
 from server.settings import MIB
 from tests.services.installation import SMALL_CASE, zip_of
-from worker.child import EXIT_MEMORY, Broken, Exit, Job, Rejected, Scored, Validated
+from worker.child import EXIT_MEMORY
+from worker.messages import Broken, Exit, Job, Rejected, Scored, Validated
 from worker.sandbox import Sandbox
 
 
