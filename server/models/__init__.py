@@ -7,6 +7,7 @@ from server.models.base import NAMING_CONVENTION, AuditEvent, Base, Blob, UtcDat
 from server.models.benchmarks import Benchmark, GroundTruthVersion, Phase
 from server.models.ledger import QuotaEntry, QuotaKind
 from server.models.people import Membership, Team, Token, User
+from server.models.rescoring import ItemState, Rescoring, RescoringItem, RescoringState
 from server.models.submissions import (
     TERMINAL_STATES,
     Attempt,
@@ -29,12 +30,16 @@ __all__ = [
     "Benchmark",
     "Blob",
     "GroundTruthVersion",
+    "ItemState",
     "Membership",
     "Method",
     "Phase",
     "Publication",
     "QuotaEntry",
     "QuotaKind",
+    "Rescoring",
+    "RescoringItem",
+    "RescoringState",
     "Score",
     "Submission",
     "SubmissionState",

@@ -5,6 +5,7 @@ from datetime import datetime
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 
+from evaluator.protocol import EVALUATOR_VERSION
 from server.models.base import Base, Blob, Slug
 from server.models.people import User
 
@@ -34,6 +35,8 @@ class Phase(Base):
     title: Mapped[str] = mapped_column(sa.String(200))
     protocol: Mapped[str] = mapped_column(sa.String(64), default="cityscapes3d")
     """Name in `evaluator.protocol.PROTOCOLS`; it ranks."""
+    evaluator_version: Mapped[str] = mapped_column(sa.String(16), default=EVALUATOR_VERSION)
+    """The version in force: its scores rank before those of any other."""
     is_open: Mapped[bool] = mapped_column(default=False)
     """Open ground truth: anybody may have it, so scores say little; scored before hidden phases' bulk work."""
     allows_publication: Mapped[bool] = mapped_column(default=True)

@@ -19,6 +19,8 @@ class User(Base):
     name: Mapped[str] = mapped_column(sa.String(200))
     password_hash: Mapped[str | None]
     """Argon2id; None: cannot log in on the pages."""
+    session_version: Mapped[int] = mapped_column(default=0)
+    """Raised by logging out: sessions that began before are over, whoever holds their cookie."""
     is_maintainer: Mapped[bool] = mapped_column(default=False)
     created_at: Mapped[datetime]
     disabled_at: Mapped[datetime | None]

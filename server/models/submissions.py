@@ -228,6 +228,7 @@ class Score(Base):
     evaluator_version: Mapped[str] = mapped_column(sa.String(16))
     ground_truth_id: Mapped[int] = mapped_column(sa.ForeignKey(GroundTruthVersion.id))
     attempt: Mapped[int]
+    """Of the submission, or of the re-scoring's item that made it."""
     mds: Mapped[float | None] = mapped_column(sa.Double)
     """None: undefined, ranked last."""
     summary: Mapped[dict[str, Any]]
