@@ -17,6 +17,9 @@ from evaluator.predictions import IndexArray
 Unit = Literal["image", "sequence", "city"]
 """What is drawn as a whole: names are `<city>_<sequence>_<frame>`."""
 
+FEWEST_UNITS = 2
+"""One unit drawn as often as there are units is the same data set each time: nothing would vary."""
+
 WeightArray = NDArray[np.float32]
 """(R, I) how often each resample holds each image: whole numbers."""
 FloatingArray = NDArray[np.floating[Any]]
@@ -32,14 +35,26 @@ def bootstrap_weights(images: tuple[str, ...], *, resamples: int, seed: int, uni
         unit: What is drawn as a whole.
 
     Returns:
-        (R, I) weights.
+        (R, I) weights; those of one image lie together in memory, because they are mostly used so.
+
+    Raises:
+        UsageError: There is nothing to draw from, or nothing to draw.
     """
+    if resamples < 1:
+        raise UsageError(f"{resamples} resamples say nothing; draw at least 1, better 1000.")
+    if seed < 0:
+        raise UsageError("The seed must be a whole number of 0 or more.")
     member = unit_index(images, unit)
     units = int(member.max(initial=-1)) + 1
+    if units < FEWEST_UNITS:
+        message = (
+            f"Resampling needs at least {FEWEST_UNITS} of what is drawn as a whole ({unit}), and there is {units}."
+        )
+        raise UsageError(f"{message} Draw smaller units, or evaluate more images.")
     drawn = np.random.default_rng(seed).integers(0, units, size=(resamples, units), dtype=np.int32)
     drawn += (np.arange(resamples, dtype=np.int32) * units)[:, None]
     times = np.bincount(drawn.ravel(), minlength=resamples * units).reshape(resamples, units)
-    return times[:, member].astype(np.float32)
+    return np.asarray(times.T.astype(np.float32)[member].T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +76,18 @@ def leave_one_out(images: tuple[str, ...], *, unit: Unit = "image") -> LeaveOneO
 
 
 Weighting = WeightArray | LeaveOneOut
+
+
+def weighting_count(weighting: Weighting) -> int:
+    """Return the number of weightings, R."""
+    return weighting.units if isinstance(weighting, LeaveOneOut) else len(weighting)
+
+
+def affected_rows(weighting: Weighting, images: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the weightings under which some of these images may not count exactly once."""
+    if isinstance(weighting, LeaveOneOut):
+        return np.unique(weighting.member[images]).astype(np.intp)
+    return np.arange(len(weighting))
 
 
 def total(weighting: Weighting, values: FloatingArray) -> FloatingArray:
@@ -94,10 +121,18 @@ def total_of(
         (S, K).
     """
     if not isinstance(weighting, LeaveOneOut):
-        return np.asarray(weighting[rows][:, images].astype(values.dtype) @ values)
+        return np.asarray(weights_of(weighting, rows, images).astype(values.dtype) @ values)
     of_unit = np.zeros((weighting.units, values.shape[1]), dtype=values.dtype)
     np.add.at(of_unit, weighting.member[images], values)
     return np.asarray(values.sum(axis=0) - of_unit[rows])
+
+
+def weights_of(weighting: Weighting, rows: NDArray[np.intp], images: NDArray[np.intp]) -> WeightArray:
+    """Return (S, J) how often each of these weightings counts each of these images."""
+    if isinstance(weighting, LeaveOneOut):
+        return np.asarray(weighting.member[images] != rows[:, None], dtype=np.float32)
+    of_images = weighting.T[images]
+    return np.asarray(of_images.T if len(rows) == len(weighting) else of_images[:, rows].T)
 
 
 def unit_index(images: tuple[str, ...], unit: Unit) -> IndexArray:

@@ -1,0 +1,119 @@
+"""Scores of weighted images, in every protocol and depth bin, are those an evaluation of these images gives."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator.errors import UsageError
+from evaluator.evaluation import Evaluation, evaluate
+from evaluator.ground_truth import read_ground_truth
+from evaluator.parallel import ground_truth_of
+from evaluator.predictions import Float64Array
+from evaluator.protocol import CITYSCAPES3D, PAPER
+from evaluator.replicates import BIN_METRICS, METRICS, Replicates, replicate
+from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, unit_index
+from evaluator.results import Scores
+from tests.prediction_arrays import load_predictions
+
+CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
+
+
+@pytest.fixture(scope="module", params=[CITYSCAPES3D, PAPER], ids=lambda protocol: str(protocol.name))
+def evaluation(request: pytest.FixtureRequest) -> Evaluation:
+    """Sixty images of the recorded realistic case under each protocol."""
+    ground_truth = read_ground_truth(CASE / "gt")
+    return evaluate(
+        ground_truth, load_predictions(CASE / "pred", ground_truth.images, CITYSCAPES3D.labels), request.param
+    )
+
+
+def _forty(evaluation: Evaluation) -> Scores:
+    """Evaluate the first forty images only."""
+    truth = ground_truth_of(evaluation.ground_truth, slice(0, 40))
+    predictions = load_predictions(CASE / "pred", truth.images, CITYSCAPES3D.labels)
+    return evaluate(truth, predictions, evaluation.statistics.protocol).scores
+
+
+def _equal(found: Replicates, scores: Scores) -> None:
+    """Compare the only row of replicates with scores: classes, working points, depth bins."""
+    classes = [[getattr(item, name) for name in METRICS] for item in scores.classes]
+    bins = [[[getattr(part, name) for name in BIN_METRICS] for part in item.depth_bins] for item in scores.classes]
+    defined = np.array([item.working_point is not None for item in scores.classes])
+    points = [item.working_point for item in scores.classes if item.working_point is not None]
+
+    assert np.allclose(found.classes[0], _numbers(classes), rtol=0, atol=1e-12, equal_nan=True)
+    assert np.allclose(found.depth_bins[0], _numbers(bins), rtol=0, atol=1e-12, equal_nan=True)
+    assert found.working_point[0][defined].tolist() == points
+
+
+def _numbers(values: list[list[float | None]] | list[list[list[float | None]]]) -> Float64Array:
+    return np.array(values, dtype=np.float64)
+
+
+def test_weights_of_one_give_the_scores(evaluation: Evaluation) -> None:
+    """Every metric of every class and depth bin is that of the evaluation."""
+    ones = np.ones((1, len(evaluation.statistics.images)), dtype=np.float32)
+
+    _equal(replicate(evaluation.statistics, ones, by_depth=True), evaluation.scores)
+
+
+def test_weights_of_zero_leave_images_out(evaluation: Evaluation) -> None:
+    """Weighting the last twenty images with 0 equals evaluating the first forty, c_w chosen anew."""
+    weights = np.array([[1.0] * 40 + [0.0] * 20], dtype=np.float32)
+
+    _equal(replicate(evaluation.statistics, weights, by_depth=True), _forty(evaluation))
+
+
+def test_a_weight_of_two_counts_an_image_twice(evaluation: Evaluation) -> None:
+    """Scores do not change when every image counts twice."""
+    twos = np.full((1, len(evaluation.statistics.images)), 2, dtype=np.float32)
+
+    _equal(replicate(evaluation.statistics, twos, by_depth=True), evaluation.scores)
+
+
+@pytest.mark.parametrize("unit", ["image", "sequence", "city"])
+def test_the_jackknife_equals_weights_of_zero_for_one_unit(evaluation: Evaluation, unit: Unit) -> None:
+    """Subtracting a unit gives what weighting it with 0 gives, in every metric."""
+    statistics = evaluation.statistics
+    member = unit_index(statistics.images, unit)
+    weights = (np.arange(member.max() + 1)[:, None] != member).astype(np.float32)
+
+    expected, found = (
+        replicate(statistics, weighting, by_depth=True)
+        for weighting in (weights, leave_one_out(statistics.images, unit=unit))
+    )
+
+    assert np.allclose(found.classes, expected.classes, rtol=0, atol=1e-12, equal_nan=True)
+    assert np.allclose(found.depth_bins, expected.depth_bins, rtol=0, atol=1e-12, equal_nan=True)
+    assert np.array_equal(found.working_point, expected.working_point)
+
+
+def test_depth_bins_are_left_out_unless_asked_for(evaluation: Evaluation) -> None:
+    """No bins; the classes are the same."""
+    weights = bootstrap_weights(evaluation.statistics.images, resamples=5, seed=1)
+    with_bins, without = (replicate(evaluation.statistics, weights, by_depth=by_depth) for by_depth in (True, False))
+
+    assert without.depth_bins.size == 0
+    assert np.array_equal(with_bins.classes, without.classes, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("images", "resamples", "seed", "unit", "expected"),
+    [
+        (("a_0_0", "a_0_1"), 0, 1, "image", "at least 1"),
+        (("a_0_0", "a_0_1"), -5, 1, "image", "at least 1"),
+        (("a_0_0", "a_0_1"), 10, -1, "image", "seed"),
+        ((), 10, 1, "image", "at least 2"),
+        (("a_0_0",), 10, 1, "image", "at least 2"),
+        (("a_0_0", "a_0_1"), 10, 1, "sequence", "at least 2"),
+        (("a_0_0", "a_1_0"), 10, 1, "city", "at least 2"),
+        (("a_0_0", "b_1_0"), 10, 1, "country", "choose one of"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(
+    images: tuple[str, ...], resamples: int, seed: int, unit: Unit, expected: str
+) -> None:
+    """No resamples, no images, one cluster only: an error of ours that says what is needed."""
+    with pytest.raises(UsageError, match=expected):
+        bootstrap_weights(images, resamples=resamples, seed=seed, unit=unit)
