@@ -8,6 +8,7 @@ from server.models.benchmarks import Benchmark, GroundTruthVersion, Phase
 from server.models.ledger import QuotaEntry, QuotaKind
 from server.models.people import Membership, Team, Token, User
 from server.models.rescoring import ItemState, Rescoring, RescoringItem, RescoringState
+from server.models.shards import Shard
 from server.models.submissions import (
     TERMINAL_STATES,
     Attempt,
@@ -41,6 +42,7 @@ __all__ = [
     "RescoringItem",
     "RescoringState",
     "Score",
+    "Shard",
     "Submission",
     "SubmissionState",
     "Team",

@@ -48,6 +48,8 @@ class Phase(Base):
     """Rejected or cancelled uploads of a team in any 24 hours."""
     max_attempts: Mapped[int] = mapped_column(default=3)
     """Claims by workers before a submission is failed."""
+    shards: Mapped[int] = mapped_column(default=1)
+    """Into how many ranges of images a submission is divided to be scored by several workers; 1: it is not."""
     ground_truth_id: Mapped[int | None] = mapped_column(
         sa.ForeignKey("ground_truth.id", use_alter=True, name="fk_phase_ground_truth_id")
     )
@@ -62,6 +64,7 @@ class Phase(Base):
         sa.CheckConstraint("submissions_per_day >= 0", name="submissions_per_day_not_negative"),
         sa.CheckConstraint("rejections_per_day >= 0", name="rejections_per_day_not_negative"),
         sa.CheckConstraint("max_attempts >= 1", name="max_attempts_positive"),
+        sa.CheckConstraint("shards BETWEEN 1 AND 64", name="shards_in_range"),
     )
 
 
