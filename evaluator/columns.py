@@ -2,18 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from msgspec import UNSET
 
-from evaluator.decoding import Box, Box2d, Box3d
+from evaluator.decoding import Box
 from evaluator.predictions import Float64Array, IndexArray, Predictions
-from evaluator.record_table import ROW_2D, ROW_3D, encode_rows, floats, make_table
+from evaluator.record_table import encode_rows, floats, letter_codes, make_table
 from evaluator.value_ranges import Mask, rows_to_explain
 
-NOT_EVALUATED = -1
-UNKNOWN = -2
+_RECORDS_IN_CACHE = 512
+"""Records turned into rows at a time: as many as stay in the processor's cache since they were decoded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +21,7 @@ class Columns:
 
     image_index: IndexArray
     label_index: IndexArray
-    """(N,) index into the evaluated labels, `NOT_EVALUATED` or `UNKNOWN`."""
+    """(N,) index into the known labels; their number for an unknown one."""
     score: Float64Array
     center_m: Float64Array
     dimensions_m: Float64Array
@@ -30,8 +29,8 @@ class Columns:
     amodal_px: Float64Array
     modal_px: Float64Array
 
-    def rows_to_explain(self) -> Mask:
-        """Find the rows with something to be said, (N,)."""
+    def rows_to_explain(self, known_labels: int) -> Mask:
+        """Find the rows with something to be said, (N,), when so many labels are known."""
         strange = rows_to_explain(
             score=self.score,
             center_m=self.center_m,
@@ -40,12 +39,12 @@ class Columns:
             amodal_px=self.amodal_px,
             modal_px=self.modal_px,
         )
-        strange |= self.label_index == UNKNOWN
+        strange |= self.label_index >= known_labels
         return strange
 
-    def evaluated(self) -> "Columns":
-        """Keep the rows of evaluated labels."""
-        keep = self.label_index >= 0
+    def of_first_labels(self, count: int) -> "Columns":
+        """Keep the rows whose label is one of the first `count` known ones."""
+        keep = self.label_index < count
         if keep.all():
             return self
         return Columns(**{name: getattr(self, name)[keep] for name in Columns.__slots__})
@@ -54,75 +53,78 @@ class Columns:
 class ColumnBuilder:
     """Gathers the boxes of some files; a box without a modal box gets its amodal one."""
 
-    def __init__(self, label_numbers: dict[str, int]) -> None:
+    def __init__(self, known_labels: Sequence[str]) -> None:
         """Start empty.
 
         Args:
-            label_numbers: index of each evaluated label; `NOT_EVALUATED` for the others that are known.
+            known_labels: fewer than 127, each once; `Columns.label_index` counts them.
         """
-        self._label_numbers = label_numbers
-        self._rows_2d: list[bytes] = []
-        self._rows_3d: list[bytes] = []
-        self._scores: list[float] = []
-        self.labels: list[str] = []
-        self.modal = 0
-        """How many boxes had a modal box."""
+        self._letters = {label: chr(number) for number, label in enumerate(known_labels)}
+        self._records: list[Box] = []
+        self._rows: list[bytes] = []
+        self._boxes = 0
+        self._amodal_only = 0
 
     def __len__(self) -> int:
         """Count the boxes."""
-        return len(self.labels)
+        return self._boxes
 
     def add(self, boxes: Sequence[Box]) -> None:
-        """Append a file's boxes; the records are not needed afterwards."""
-        self._rows_3d.append(_complete_rows([box.box_3d for box in boxes], ROW_3D))
-        in_image = [box.box_2d for box in boxes]
-        rows = encode_rows(in_image, ROW_2D)
-        self.modal += len(boxes)
-        if rows is None:
-            self.modal -= _fill_modal(in_image)
-            rows = _complete_rows(in_image, ROW_2D)
-        self._rows_2d.append(rows)
-        self._scores += [box.score for box in boxes]
-        self.labels += [box.label for box in boxes]
+        """Append a file's boxes; the records are changed, and not needed afterwards."""
+        self._records += boxes
+        self._boxes += len(boxes)
+        if len(self._records) >= _RECORDS_IN_CACHE:
+            self._encode()
 
-    def build(self, image_index: IndexArray) -> Columns:
+    def build(self, image_index: IndexArray) -> tuple[Columns, int]:
         """Make the arrays.
 
         Args:
             image_index: (N,) int32, the image of each box.
+
+        Returns:
+            The columns, and how many of the boxes had a modal box.
         """
-        in_image, in_space = make_table(self._rows_2d, ROW_2D), make_table(self._rows_3d, ROW_3D)
-        numbers = [self._label_numbers.get(label, UNKNOWN) for label in self.labels]
-        return Columns(
+        self._encode()
+        table = make_table(self._rows)
+        columns = Columns(
             image_index=image_index,
-            label_index=np.array(numbers, dtype=np.int32),
-            score=np.array(self._scores, dtype=np.float64),
-            center_m=floats(in_space, "center"),
-            dimensions_m=floats(in_space, "dimensions"),
-            rotation=floats(in_space, "rotation"),
-            amodal_px=floats(in_image, "amodal"),
-            modal_px=floats(in_image, "modal"),
+            label_index=letter_codes(table),
+            score=floats(table, "score"),
+            center_m=floats(table, "center"),
+            dimensions_m=floats(table, "dimensions"),
+            rotation=floats(table, "rotation"),
+            amodal_px=floats(table, "amodal"),
+            modal_px=floats(table, "modal"),
         )
+        return columns, self._boxes - self._amodal_only
+
+    def _encode(self) -> None:
+        """Turn the records into rows, with letters for their labels, so that all rows have one width."""
+        letter_of, unknown = self._letters.get, chr(len(self._letters))
+        for record in self._records:
+            record.label = letter_of(record.label, unknown)
+        rows = encode_rows(self._records)
+        if rows is None:
+            self._amodal_only += _fill_modal(self._records)
+            rows = encode_rows(self._records)
+        if rows is None:
+            raise AssertionError("msgspec no longer writes floats with nine bytes")
+        self._rows.append(rows)
+        self._records.clear()
 
 
-def _fill_modal(records: Sequence[Box2d]) -> int:
+def _fill_modal(records: Sequence[Box]) -> int:
     """Give each box without a modal box its amodal one and count them."""
-    amodal_only = [record for record in records if record.modal is UNSET]
-    for record in amodal_only:
-        record.modal = record.amodal
+    amodal_only = [record.box_2d for record in records if record.box_2d.modal is UNSET]
+    for box_2d in amodal_only:
+        box_2d.modal = box_2d.amodal
     return len(amodal_only)
-
-
-def _complete_rows(records: Sequence[Box2d] | Sequence[Box3d], row: np.dtype[Any]) -> bytes:
-    """Encode records that have every field."""
-    rows = encode_rows(records, row)
-    if rows is None:
-        raise AssertionError("msgspec no longer writes floats with nine bytes")
-    return rows
 
 
 def concatenate(parts: Sequence[Columns], images: tuple[str, ...], labels: tuple[str, ...]) -> Predictions:
     """Join parts, in the order of the images, into predictions."""
-    parts = [ColumnBuilder({}).build(np.empty(0, dtype=np.int32)), *parts]
+    nothing, _ = ColumnBuilder(()).build(np.empty(0, dtype=np.int32))
+    parts = [nothing, *parts]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Columns.__slots__}
     return Predictions(images=images, labels=labels, **joined)

@@ -4,12 +4,13 @@ It never explains: whatever is not clean here is looked at again, slowly, by `ex
 """
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from typing import Any
 
 import msgspec
+import numpy as np
 from msgspec import UNSET, Struct, UnsetType, field
 
 Triple = tuple[float, float, float]
@@ -71,6 +72,11 @@ def decode(data: bytes) -> list[Box] | None:
         return _TYPED.decode(data).objects
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
+
+
+def count_colons(files: Sequence[bytes]) -> int:
+    """Count the colons of some files; numpy compares dozens of bytes in the time `bytes.count` takes for one."""
+    return int(np.count_nonzero(np.frombuffer(b"".join(files), dtype=np.uint8) == ord(":")))
 
 
 def keys_are_expected(*, colons: int, files: int, boxes: int, modal: int) -> bool:

@@ -6,8 +6,8 @@ import numpy as np
 
 from evaluator.archive import MemberError, Source
 from evaluator.codes import Code
-from evaluator.columns import NOT_EVALUATED, ColumnBuilder, Columns, concatenate
-from evaluator.decoding import Box, decode, extra_keys_are_clean, keys_are_expected
+from evaluator.columns import ColumnBuilder, Columns, concatenate
+from evaluator.decoding import Box, count_colons, decode, extra_keys_are_clean, keys_are_expected
 from evaluator.explanation import explain
 from evaluator.file_names import assign_files
 from evaluator.findings import Findings
@@ -34,10 +34,8 @@ class StrictReading:
         self._limits = limits
         self._findings = findings
         self.known_labels = frozenset((*VEHICLE_LABELS, *labels))
-        self._label_numbers = dict.fromkeys(VEHICLE_LABELS, NOT_EVALUATED) | {
-            label: number for number, label in enumerate(labels)
-        }
-        self._left_out = dict.fromkeys(sorted(self.known_labels - set(labels)), 0)
+        self._labels_in_order = (*labels, *sorted(self.known_labels - set(labels)))
+        self._label_counts = np.zeros(len(self._labels_in_order), dtype=np.int64)
         self._explained: set[int] = set()
         self._explained_bytes = 0
         self.boxes = 0
@@ -48,7 +46,7 @@ class StrictReading:
     def read(self, progress: Progress | None) -> Predictions:
         """Read every file, batch by batch."""
         parts: list[Columns] = []
-        batch = _Batch(self._label_numbers)
+        batch = _Batch(self._labels_in_order)
         for done, (image, number) in enumerate(self.assigned, start=1):
             data = self._read_bytes(number)
             boxes = None if data is None else self._decode(number, data)
@@ -56,12 +54,12 @@ class StrictReading:
                 batch.add(image, number, data, boxes)
             if batch.is_full or done == len(self.assigned):
                 parts.append(self._finish(batch))
-                batch = _Batch(self._label_numbers)
+                batch = _Batch(self._labels_in_order)
                 if progress is not None:
                     progress(done, len(self.assigned))
-        for label, count in self._left_out.items():
-            if count:
-                self._findings.add(Code.UNEVALUATED_LABEL, found=label, count=count)
+        for number in range(len(self._labels), len(self._labels_in_order)):
+            if count := int(self._label_counts[number]):
+                self._findings.add(Code.UNEVALUATED_LABEL, found=self._labels_in_order[number], count=count)
         return concatenate(parts, self.images, self._labels)
 
     def _read_bytes(self, number: int) -> bytes | None:
@@ -99,32 +97,31 @@ class StrictReading:
 
     def _finish(self, batch: "_Batch") -> Columns:
         """Turn a batch into arrays and explain the files with keys or values that are not as they should be."""
-        columns = batch.columns.build(batch.image_index)
-        boxes, modal = len(batch.columns), batch.columns.modal
-        if not keys_are_expected(colons=batch.colons, files=len(batch.data), boxes=boxes, modal=modal):
+        columns, modal = batch.columns.build(batch.image_index)
+        boxes, colons = len(batch.columns), count_colons(batch.data)
+        if not keys_are_expected(colons=colons, files=len(batch.data), boxes=boxes, modal=modal):
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
-        for place in np.unique(batch.file_index[columns.rows_to_explain()]):
+        known = len(self._labels_in_order)
+        for place in np.unique(batch.file_index[columns.rows_to_explain(known)]):
             self._explain(batch.numbers[place], batch.data[place])
-        evaluated = columns.evaluated()
+        self._label_counts += np.bincount(columns.label_index, minlength=known)[:known]
+        evaluated = columns.of_first_labels(len(self._labels))
         self.boxes += len(evaluated.score)
-        for row in np.flatnonzero(columns.label_index == NOT_EVALUATED).tolist():
-            self._left_out[batch.columns.labels[row]] += 1
         return evaluated
 
 
 class _Batch:
     """Some files' boxes, with the bytes they came from in case they need explaining."""
 
-    def __init__(self, label_numbers: dict[str, int]) -> None:
+    def __init__(self, known_labels: Sequence[str]) -> None:
         """Start empty."""
-        self.columns = ColumnBuilder(label_numbers)
+        self.columns = ColumnBuilder(known_labels)
         self.numbers: list[int] = []
         self.data: list[bytes] = []
         self.images: list[int] = []
         self.counts: list[int] = []
-        self.colons = 0
         self._bytes = 0
 
     def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box]) -> None:
@@ -134,7 +131,6 @@ class _Batch:
         self.data.append(data)
         self.images.append(image)
         self.counts.append(len(boxes))
-        self.colons += data.count(b":")
         self._bytes += len(data)
 
     @property

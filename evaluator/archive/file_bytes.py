@@ -6,8 +6,8 @@ the whole archive, in the web process that only looks at its headers.
 
 import os
 
-_AHEAD_BYTES = 4096
-"""Headers follow each other closely; reading so much at least spares most of the calls."""
+_AHEAD_BYTES = 1 << 16
+"""Headers and members follow each other closely; reading so much at least spares most of the calls."""
 _BLOCK_BYTES = 1 << 20
 
 

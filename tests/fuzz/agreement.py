@@ -6,15 +6,14 @@ import zipfile
 import numpy as np
 
 from evaluator.archive import MemberError, check_framing, unpack
-from evaluator.columns import NOT_EVALUATED, ColumnBuilder
-from evaluator.decoding import decode, extra_keys_are_clean, keys_are_expected
+from evaluator.columns import ColumnBuilder
+from evaluator.decoding import count_colons, decode, extra_keys_are_clean, keys_are_expected
 from evaluator.explanation import explain
 from evaluator.findings import Findings
 from evaluator.limits import Limits
 from evaluator.protocol import VEHICLE_LABELS
 
 LIMITS = Limits(archive_bytes=1 << 20, entries=50, expanded_bytes=1 << 22, file_bytes=1 << 20)
-_LABELS = dict.fromkeys(VEHICLE_LABELS, NOT_EVALUATED)
 
 
 def check_document(data: bytes) -> None:
@@ -33,13 +32,13 @@ def _fast_path_is_content(data: bytes) -> bool:
     boxes = decode(data)
     if boxes is None or len(boxes) > LIMITS.boxes_per_image:
         return False
-    builder = ColumnBuilder(_LABELS)
+    builder = ColumnBuilder(VEHICLE_LABELS)
     builder.add(boxes)
-    columns = builder.build(np.zeros(len(boxes), dtype=np.int32))
+    columns, modal = builder.build(np.zeros(len(boxes), dtype=np.int32))
     expected = keys_are_expected(
-        colons=data.count(b":"), files=1, boxes=len(boxes), modal=builder.modal
+        colons=count_colons([data]), files=1, boxes=len(boxes), modal=modal
     ) or extra_keys_are_clean(data, LIMITS.json_depth)
-    return expected and not columns.rows_to_explain().any()
+    return expected and not columns.rows_to_explain(len(VEHICLE_LABELS)).any()
 
 
 def check_archive(data: bytes) -> None:
