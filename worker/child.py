@@ -26,6 +26,8 @@ from worker.messages import AnyJob, Broken, Event, Exit, Ready
 
 EXIT_MEMORY = 3
 """Exit status of a child that could not get the memory it asked for."""
+EXIT_NO_ROOM = 4
+"""Exit status of a child whose results found no room on the disk."""
 
 _CLONE_NEWUSER, _CLONE_NEWNET, _PR_SET_PDEATHSIG = 0x10000000, 0x40000000, 1
 
@@ -96,6 +98,8 @@ def run(job: AnyJob, send: Callable[[Event], None]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.errno == errno.ENOMEM:  # mapping a file says it this way
             raise MemoryError from error
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return EXIT_NO_ROOM
         traceback.print_exc()  # to the worker's log
         send(Broken(detail=_describe(error)))
     return 0

@@ -23,12 +23,12 @@ from sqlalchemy.orm import Session
 from evaluator.integrity import IntegrityAudit
 from evaluator.results import Scores
 from server import lifecycle, mail
-from server.blobs import record_blob
+from server.blobs import no_room_is_said, record_blob
 from server.claims import Claim, Result
 from server.errors import LeaseLost, NotFound, ServerError, StorageFull, Unavailable
 from server.models import SubmissionState
 from server.services import Services
-from worker.child import EXIT_MEMORY
+from worker.child import EXIT_MEMORY, EXIT_NO_ROOM
 from worker.messages import Broken, Event, Exit, Job, Progress, Rejected, Scored, Validated
 from worker.sandbox import Sandbox, SandboxError
 
@@ -152,7 +152,8 @@ class Attempt:
     def _job(self) -> Job:
         settings, blobs, held = self.services.settings, self.services.blobs, self.held
         shutil.rmtree(self.folder, ignore_errors=True)  # a restored database may count an attempt a second time
-        self.folder.mkdir(parents=True)
+        with no_room_is_said():
+            self.folder.mkdir(parents=True)
         return Job(
             predictions=str(blobs.local_path(held.predictions_sha256)),
             ground_truth=str(blobs.local_path(held.ground_truth_sha256)),
@@ -296,8 +297,14 @@ def _end_is_written_elsewhere() -> Iterator[None]:
 
 
 def _cause_of(status: int, services: Services) -> tuple[str, str]:
-    """Say why a child ended without a result: failure code and detail."""
+    """Say why a child ended without a result: failure code and detail.
+
+    Raises:
+        StorageFull: It found no room for its results, which is nobody's fault who sent something.
+    """
     settings = services.settings
+    if status == EXIT_NO_ROOM:
+        raise StorageFull("the disk of temporary files has no room left for results")
     if status == EXIT_MEMORY:
         return "memory_limit", f"reading or scoring it needs more than {settings.score_memory_bytes >> 20} MiB"
     if status == -signal.SIGXCPU:

@@ -13,7 +13,7 @@ import pytest
 from evaluator.ground_truth import read_ground_truth
 from server.settings import MIB
 from tests.services.installation import SMALL_CASE, zip_of
-from worker.child import EXIT_MEMORY
+from worker.child import EXIT_MEMORY, EXIT_NO_ROOM
 from worker.messages import Broken, Exit, Job, Rejected, Scored, Validated
 from worker.sandbox import Sandbox
 
@@ -90,6 +90,15 @@ def test_memory_is_bounded(sandbox: Sandbox, job: Job) -> None:
     """A job that needs more memory than allowed ends with its own status; the next job is not affected."""
     last = list(sandbox.events(msgspec.structs.replace(job, memory_bytes=64 * MIB), tick_s=1))[-1]
     assert last == Exit(status=EXIT_MEMORY)
+    assert _kinds(sandbox, job)[-2:] == [Scored, Exit]
+
+
+def test_a_full_disk_is_told(sandbox: Sandbox, job: Job) -> None:
+    """A job whose results find no room ends with its own status: it is not the predictions' fault, nor the evaluator's."""
+    report = Path(job.folder) / "report.json"
+    report.symlink_to("/dev/full")  # what is written there meets a full disk
+    assert list(sandbox.events(job, tick_s=1))[-1] == Exit(status=EXIT_NO_ROOM)
+    report.unlink()
     assert _kinds(sandbox, job)[-2:] == [Scored, Exit]
 
 
