@@ -4,47 +4,53 @@ Sources: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapters
 and 16 (paired comparison). docs/metrics.md shows the coverage found by simulation.
 """
 
-from collections.abc import Sequence
-from statistics import NormalDist
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
+from evaluator.confidence import (
+    LEVEL,
+    Interval,
+    accelerations,
+    bca_bounds,
+    percentile_bounds,
+    require_level,
+)
 from evaluator.errors import UsageError
+from evaluator.interval_rules import sufficient
 from evaluator.predictions import Float64Array
-from evaluator.replicates import MEANS, METRICS, Replicates, replicate
+from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, replicate
 from evaluator.resampling import Unit, bootstrap_weights, leave_one_out
 from evaluator.statistics import Statistics
 
 RESAMPLES = 1000
 SEED = 20200614
 """The default draw; any number does, but everybody's must be the same to compare."""
-LEVEL = 0.95
 
 Method = Literal["percentile", "bca"]
 
-
-class Interval(msgspec.Struct, frozen=True, kw_only=True):
-    """An estimate with its confidence interval."""
-
-    estimate: float
-    lower: float
-    upper: float
+NamedIntervals = dict[str, Interval | None]
+"""By the name of the metric; None where it is undefined or too little is known of it (evaluator/interval_rules.py)."""
 
 
 class Uncertainty(msgspec.Struct, frozen=True, kw_only=True):
-    """Intervals of every metric; None where the metric is undefined."""
+    """Intervals of every metric."""
 
     level: float
     resamples: int
     seed: int
     unit: Unit
     method: Method
-    means: dict[str, Interval | None]
+    means: NamedIntervals
     """By the names of `Scores`: map, mbevcd, myaw_sim, mpr_sim, msize_sim, mds."""
-    classes: dict[str, dict[str, Interval | None]]
+    classes: dict[str, NamedIntervals]
     """By label, then by the names of `ClassScore`."""
+    depth_bins: dict[str, tuple[NamedIntervals, ...]]
+    """By label, bin by bin, by the names of `DepthBin`; empty unless asked for."""
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,6 +61,41 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     """Two-sided, of no difference; in (0, 1]."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bootstrap:
+    """One submission's scores, and those on resamples."""
+
+    estimate: Replicates
+    """One row: the images as they are."""
+    drawn: Replicates
+    left_out: Replicates | None
+    """With one unit left out at a time; None for percentile intervals, which need no jackknife."""
+
+
+def bootstrap(
+    statistics: Statistics,
+    *,
+    resamples: int = RESAMPLES,
+    seed: int = SEED,
+    unit: Unit = "image",
+    method: Method = "bca",
+    by_depth: bool = False,
+) -> Bootstrap:
+    """Compute all scores on resamples of the images.
+
+    Raises:
+        UsageError: Nothing can be drawn in this way.
+    """
+    images = statistics.images
+    weights = bootstrap_weights(images, resamples=resamples, seed=seed, unit=unit)
+    jackknife = leave_one_out(images, unit=unit) if method == "bca" else None
+    return Bootstrap(
+        estimate=replicate(statistics, np.ones((1, len(images)), dtype=np.float32), by_depth=by_depth),
+        drawn=replicate(statistics, weights, by_depth=by_depth),
+        left_out=None if jackknife is None else replicate(statistics, jackknife, by_depth=by_depth),
+    )
+
+
 def intervals(
     statistics: Statistics,
     *,
@@ -63,6 +104,7 @@ def intervals(
     unit: Unit = "image",
     level: float = LEVEL,
     method: Method = "bca",
+    by_depth: bool = True,
 ) -> Uncertainty:
     """Compute confidence intervals of all metrics.
 
@@ -74,41 +116,79 @@ def intervals(
         level: Confidence level in (0, 1).
         method: "bca" (bias-corrected and accelerated, from a jackknife over the units), which covers best where
             scores are biased by few boxes, or "percentile", which costs half.
+        by_depth: Give those of the depth bins, too.
 
     Returns:
         The intervals.
+
+    Raises:
+        UsageError: Nothing can be drawn in this way, or the level is none.
     """
-    _require_level(level)
-    images = statistics.images
-    estimate = _table(replicate(statistics, np.ones((1, len(images)), dtype=np.float32)))[0]
-    drawn = _table(replicate(statistics, bootstrap_weights(images, resamples=resamples, seed=seed, unit=unit)))
-    if method == "bca":
-        left_out = _table(replicate(statistics, leave_one_out(images, unit=unit)))
-        bounds = [bca_bounds(estimate[i], drawn[:, i], left_out[:, i], level) for i in range(len(estimate))]
-    else:
-        bounds = [_quantiles(drawn[:, i], *_tails(level)) for i in range(len(estimate))]
-    found = [
-        None if np.isnan(value) or bound is None else Interval(estimate=float(value), lower=bound[0], upper=bound[1])
-        for value, bound in zip(estimate, bounds, strict=True)
-    ]
-    rows = [found[start : start + len(METRICS)] for start in range(0, len(found), len(METRICS))]
+    require_level(level)
+    found = bootstrap(statistics, resamples=resamples, seed=seed, unit=unit, method=method, by_depth=by_depth)
+    means, classes, depth_bins = named_intervals(statistics, found, level)
     return Uncertainty(
         level=level,
         resamples=resamples,
         seed=seed,
         unit=unit,
         method=method,
-        means=dict(zip(MEANS, rows[0], strict=True)),
-        classes={
-            label: dict(zip(METRICS, row, strict=True)) for label, row in zip(statistics.labels, rows[1:], strict=True)
-        },
+        means=means,
+        classes=classes,
+        depth_bins=depth_bins,
     )
+
+
+def named_intervals(
+    statistics: Statistics, found: Bootstrap, level: float
+) -> tuple[NamedIntervals, dict[str, NamedIntervals], dict[str, tuple[NamedIntervals, ...]]]:
+    """Return the intervals of a bootstrap as `Uncertainty` has them: means, classes, depth bins."""
+    known = sufficient(statistics, found.estimate)
+    means, classes, bins = (_intervals(found, part, enough, level) for part, enough in zip(_PARTS, known, strict=True))
+    return (
+        _named(MEANS, means[None])[0],
+        dict(zip(statistics.labels, _named(METRICS, classes), strict=True)),
+        {label: _named(BIN_METRICS, of_class) for label, of_class in zip(statistics.labels, bins, strict=True)},
+    )
+
+
+_PARTS: tuple[Callable[[Replicates], Float64Array], ...] = (
+    lambda found: found.means,
+    lambda found: found.classes,
+    lambda found: found.depth_bins,
+)
+
+
+def _intervals(
+    found: Bootstrap, part: Callable[[Replicates], Float64Array], enough: NDArray[np.bool_], level: float
+) -> NDArray[np.object_]:
+    """Return the intervals of one part of the replicates in its shape, None where there is none."""
+    estimate, drawn = part(found.estimate).ravel(), _flat(part(found.drawn))
+    if found.left_out is None:
+        bounds = percentile_bounds(drawn, level)
+    else:
+        bounds = bca_bounds(estimate, drawn, accelerations(_flat(part(found.left_out))), level)
+    given = enough.ravel() & ~np.isnan(estimate) & ~np.isnan(bounds[0])
+    result = np.full(estimate.shape, None, dtype=np.object_)
+    for index in np.flatnonzero(given).tolist():
+        lower, upper = bounds[:, index].tolist()
+        result[index] = Interval(estimate=float(estimate[index]), lower=lower, upper=upper)
+    return result.reshape(enough.shape)
+
+
+def _flat(values: Float64Array) -> Float64Array:
+    return values.reshape(len(values), -1)
+
+
+def _named(names: tuple[str, ...], found: NDArray[np.object_]) -> tuple[NamedIntervals, ...]:
+    """Name the last axis of (N, K) intervals."""
+    return tuple(dict(zip(names, row, strict=True)) for row in found.tolist())
 
 
 def mds_replicates(
     statistics: Statistics, *, resamples: int = RESAMPLES, seed: int = SEED, unit: Unit = "image"
 ) -> Float64Array:
-    """Return (R,) mDS on each resample: all a leaderboard has to keep of a submission to be compared with others."""
+    """Return (R,) mDS on each resample: what standings need of a submission (evaluator/standings.py)."""
     weights = bootstrap_weights(statistics.images, resamples=resamples, seed=seed, unit=unit)
     return replicate(statistics, weights).means[:, MEANS.index("mds")]
 
@@ -136,7 +216,7 @@ def compare(
         By the names of `Scores` (mds, map, ...); None where undefined.
 
     Raises:
-        UsageError: Images or protocols differ.
+        UsageError: Images or protocols differ, nothing can be drawn in this way, or the level is none.
     """
     if (first.images, first.protocol) != (second.images, second.protocol):
         raise UsageError("Only submissions evaluated on the same images under the same protocol can be compared.")
@@ -157,115 +237,15 @@ def compare_replicates(estimate: float, differences: Float64Array, level: float 
 
     Returns:
         Percentile interval and two-sided p-value (twice the smaller tail beyond 0); None where undefined.
+
+    Raises:
+        UsageError: The level is none.
     """
-    _require_level(level)
-    bound = _quantiles(differences, *_tails(level))
-    if bound is None or np.isnan(estimate):
-        return None
+    require_level(level)
     defined = differences[~np.isnan(differences)]
+    if np.isnan(estimate) or not len(defined):
+        return None
+    lower, upper = percentile_bounds(defined[:, None], level)[:, 0].tolist()
     smaller_tail = min((defined <= 0).sum(), (defined >= 0).sum())
     p_value = min(1.0, 2 * (1 + float(smaller_tail)) / (len(defined) + 1))
-    return Comparison(difference=Interval(estimate=estimate, lower=bound[0], upper=bound[1]), p_value=p_value)
-
-
-def rank_intervals(mds: Float64Array, level: float = LEVEL) -> list[tuple[int, int]]:
-    """Find between which ranks each submission of a leaderboard may stand.
-
-    Adding a submission needs only its own replicates; those of the others are kept.
-
-    Args:
-        mds: (M, R) mDS of M submissions on the same R resamples (`mds_replicates`), all defined.
-        level: Confidence level in (0, 1).
-
-    Returns:
-        Best and worst rank of each submission, from 1; ties share the better rank.
-    """
-    _require_level(level)
-    better = np.sort(mds, axis=0)
-    ranks = np.stack([1 + (better > row).sum(axis=0) for row in mds]) if len(mds) else np.zeros((0, 1))
-    lower, upper = _tails(level)
-    bounds = np.quantile(ranks, [lower, upper], axis=1, method="closest_observation").T
-    return [(int(best), int(worst)) for best, worst in bounds]
-
-
-def indistinguishable_groups(estimates: Sequence[float], mds: Float64Array, level: float = LEVEL) -> list[list[int]]:
-    """Group submissions whose differences in mDS may be chance.
-
-    Args:
-        estimates: mDS of M submissions.
-        mds: (M, R) their replicates on the same resamples.
-        level: Confidence level in (0, 1).
-
-    Returns:
-        Groups of neighbours in the ranking, best first, as indices into `estimates`. Within a group no submission
-        differs from another with that confidence; a submission may be in several groups, and no group is part of
-        another.
-    """
-    order = sorted(range(len(estimates)), key=lambda index: -estimates[index])
-    groups: list[list[int]] = []
-    reach = 0
-    for start in range(len(order)):
-        stop = start + 1
-        while stop < len(order) and all(_may_be_equal(order[i], order[stop], mds, level) for i in range(start, stop)):
-            stop += 1
-        if stop > reach:
-            groups.append(order[start:stop])
-            reach = stop
-    return groups
-
-
-def _may_be_equal(first: int, second: int, mds: Float64Array, level: float) -> bool:
-    bound = _quantiles(mds[first] - mds[second], *_tails(level))
-    return bound is None or bound[0] <= 0 <= bound[1]
-
-
-def bca_bounds(
-    estimate: float, drawn: Float64Array, left_out: Float64Array, level: float
-) -> tuple[float, float] | None:
-    """Return bias-corrected and accelerated bounds (Efron and Tibshirani, section 14.3).
-
-    Args:
-        estimate: The metric on the images as they are.
-        drawn: (R,) on the resamples.
-        left_out: (U,) with one unit left out at a time.
-        level: Confidence level in (0, 1).
-
-    Returns:
-        Lower and upper bound; None where undefined.
-    """
-    drawn, left_out = drawn[~np.isnan(drawn)], left_out[~np.isnan(left_out)]
-    if np.isnan(estimate) or len(drawn) == 0:
-        return None
-    normal = NormalDist()
-    below = ((drawn < estimate).sum() + (drawn == estimate).sum() / 2) / len(drawn)
-    limit = 0.5 / len(drawn)
-    bias = normal.inv_cdf(float(np.clip(below, limit, 1 - limit)))
-    spread = left_out.mean() - left_out if len(left_out) else np.zeros(1)
-    scale = float((spread**2).sum())
-    acceleration = float((spread**3).sum()) / (6 * scale**1.5) if scale > 0 else 0.0
-    shifted = [bias + normal.inv_cdf(tail) for tail in _tails(level)]
-    lower, upper = (normal.cdf(bias + z / (1 - acceleration * z)) for z in shifted)
-    return _quantiles(drawn, lower, upper)
-
-
-def _table(replicates: Replicates) -> Float64Array:
-    """Return (R, 6 + 6 C): the means, then each class's metrics."""
-    return np.concatenate([replicates.means[:, None], replicates.classes], axis=1).reshape(len(replicates.means), -1)
-
-
-def _tails(level: float) -> tuple[float, float]:
-    return (1 - level) / 2, (1 + level) / 2
-
-
-def _require_level(level: float) -> None:
-    if not 0 < level < 1:
-        raise UsageError("The confidence level must lie between 0 and 1, for example 0.95.")
-
-
-def _quantiles(values: Float64Array, lower: float, upper: float) -> tuple[float, float] | None:
-    """Return two quantiles of what is defined; None when nothing is."""
-    defined = values[~np.isnan(values)]
-    if len(defined) == 0:
-        return None
-    low, high = np.quantile(defined, [lower, upper]).tolist()
-    return low, high
+    return Comparison(difference=Interval(estimate=estimate, lower=lower, upper=upper), p_value=p_value)

@@ -12,14 +12,13 @@ from evaluator.parallel import ground_truth_of
 from evaluator.protocol import CITYSCAPES3D
 from evaluator.replicates import MEANS, replicate
 from evaluator.resampling import bootstrap_weights, unit_index
+from evaluator.standings import Standings
 from evaluator.statistics import Statistics
 from evaluator.uncertainty import (
     compare,
     compare_replicates,
-    indistinguishable_groups,
     intervals,
     mds_replicates,
-    rank_intervals,
 )
 from tests.prediction_arrays import load_predictions
 
@@ -116,15 +115,47 @@ def test_rank_intervals_span_the_ranks_on_the_resamples() -> None:
     """B beats A on half of the resamples, C is always last; equal values share the better rank."""
     mds = np.array([[0.5, 0.5, 0.5, 0.5], [0.4, 0.6, 0.4, 0.6], [0.1, 0.1, 0.1, 0.1]])
 
-    assert rank_intervals(mds) == [(1, 2), (1, 2), (3, 3)]
-    assert rank_intervals(np.array([[0.5, 0.5], [0.5, 0.5]])) == [(1, 1), (1, 1)]
+    assert Standings.of(mds).rank_intervals() == [(1, 2), (1, 2), (3, 3)]
+    assert Standings.of(np.array([[0.5, 0.5], [0.5, 0.5]])).rank_intervals() == [(1, 1), (1, 1)]
+    assert Standings.of([]).rank_intervals() == []
+
+
+def test_an_undefined_mds_ranks_last() -> None:
+    """A is undefined on half of the resamples and best on the others, B never is; C never has any."""
+    nan = float("nan")
+
+    standings = Standings.of(np.array([[0.9, nan, 0.9, nan], [0.5, 0.5, 0.5, 0.5], [nan, nan, nan, nan]]))
+
+    # Where A is undefined it shares rank 2 with C.
+    assert standings.rank_intervals() == [(1, 2), (1, 2), (2, 3)]
+    # B beats C on every resample, A does not.
+    assert standings.groups([0, 1, 2]) == [[0, 1]]
 
 
 def test_groups_join_neighbours_whose_difference_may_be_chance() -> None:
     """A and B trade places; B and C, too; A always beats C: two overlapping groups."""
     mds = np.array([[0.6, 0.5, 0.6, 0.5], [0.5, 0.6, 0.45, 0.45], [0.4, 0.4, 0.46, 0.4]])
 
-    assert indistinguishable_groups([0.55, 0.5, 0.41], mds) == [[0, 1], [1, 2]]
+    assert Standings.of(mds).groups([0, 1, 2]) == [[0, 1], [1, 2]]
+
+
+def test_a_submission_apart_from_all_others_is_in_no_group() -> None:
+    """A always leads, B and C trade places."""
+    mds = np.array([[0.9, 0.9], [0.5, 0.4], [0.4, 0.5]])
+
+    assert Standings.of(mds).groups([0, 1, 2]) == [[1, 2]]
+
+
+def test_a_submission_added_later_stands_as_if_it_had_been_there() -> None:
+    """Ranks and differences of all are those of comparing everybody at once, in another order of rows."""
+    rng = np.random.default_rng(4)
+    mds = rng.normal(rng.uniform(0.3, 0.6, 12)[:, None], 0.05, (12, 200))
+
+    together, added = Standings.of(mds[::-1]), Standings.of(mds[1:]).adding(mds[0])
+
+    assert added.rank_intervals()[-1] == together.rank_intervals()[-1]
+    assert added.rank_intervals()[:-1] == together.rank_intervals()[-2::-1]
+    assert added.apart[-1, :-1].tolist() == together.apart[-1, -2::-1].tolist()
 
 
 def test_stored_statistics_give_the_same_replicates(evaluation: Evaluation) -> None:
