@@ -7,6 +7,7 @@ from server.models.base import NAMING_CONVENTION, AuditEvent, Base, Blob, UtcDat
 from server.models.benchmarks import Benchmark, GroundTruthVersion, Phase
 from server.models.ledger import QuotaEntry, QuotaKind
 from server.models.people import Membership, Team, Token, User
+from server.models.replicates import ScoreReplicates
 from server.models.rescoring import ItemState, Rescoring, RescoringItem, RescoringState
 from server.models.shards import Shard
 from server.models.submissions import (
@@ -42,6 +43,7 @@ __all__ = [
     "RescoringItem",
     "RescoringState",
     "Score",
+    "ScoreReplicates",
     "Shard",
     "Submission",
     "SubmissionState",

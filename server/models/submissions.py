@@ -6,7 +6,7 @@ What a submission may do next is decided in server/lifecycle.py, not here.
 import uuid
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column, relationship
@@ -14,6 +14,9 @@ from sqlalchemy.orm import Mapped, mapped_column, relationship
 from server.models.base import Base, Blob, Digest, Slug, checked_enum
 from server.models.benchmarks import GroundTruthVersion, Phase
 from server.models.people import Team, User
+
+if TYPE_CHECKING:  # it is made of scores
+    from server.models.replicates import ScoreReplicates
 
 
 class SubmissionState(StrEnum):
@@ -243,6 +246,7 @@ class Score(Base):
 
     submission: Mapped[Submission] = relationship(back_populates="scores")
     ground_truth: Mapped[GroundTruthVersion] = relationship()
+    replicates: Mapped["ScoreReplicates | None"] = relationship(back_populates="score")
 
     __table_args__ = (
         sa.UniqueConstraint(
