@@ -4,9 +4,9 @@ from tests.faults import hooks
 
 hooks.install(hooks.WORKER_POINTS)
 
-from worker import evaluation  # noqa: E402 - after the points are in place
+from worker import attempt  # noqa: E402 - after the points are in place
 from worker.app import app  # noqa: E402 - likewise
 
-hooks.wrap(evaluation.Attempt, "_scored", before="scored")
+hooks.wrap(attempt.Attempt, "_scored", before="scored")
 
 __all__ = ["app"]
