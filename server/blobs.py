@@ -8,7 +8,6 @@ import errno
 import hashlib
 import os
 import shutil
-import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,7 +20,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from server import database
+from server import database, leftovers
 from server.errors import NotFound, StorageFull, Unavailable
 from server.models import Blob
 from server.settings import Settings
@@ -89,13 +88,24 @@ def digest_file(path: Path) -> str:
 
 def write_durably(folder: Path, data: bytes) -> Path:
     """Write `data` to a new temporary file in `folder` and flush it to the disk."""
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{uuid.uuid4().hex}.tmp"
-    with no_room_is_said(), path.open("xb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
+    with no_room_is_said(), deleted_on_failure(path):
+        folder.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
     return path
+
+
+@contextmanager
+def deleted_on_failure(path: Path) -> Iterator[None]:
+    """Delete a file that could not be finished: half a file on a full disk would keep it full."""
+    try:
+        yield
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
 
 
 @contextmanager
@@ -148,7 +158,8 @@ class FolderBlobs:
     def _bring_over(self, path: Path) -> Path:
         """Copy a file from another file system beside the blobs, so that promotion stays one rename."""
         copy = self.incoming / f"{uuid.uuid4().hex}.tmp"
-        shutil.copyfile(path, copy)
+        with deleted_on_failure(copy):
+            shutil.copyfile(path, copy)
         path.unlink()
         return copy
 
@@ -239,10 +250,9 @@ class BucketBlobs:
 
     def _download(self, sha256: str, path: Path) -> None:
         digest = hashlib.sha256()
-        descriptor, name = tempfile.mkstemp(dir=self.cache, suffix=".tmp")
-        temporary = Path(name)
+        temporary = self.cache / f"{uuid.uuid4().hex}.tmp"
         try:
-            with no_room_is_said(), os.fdopen(descriptor, "wb") as stream:
+            with no_room_is_said(), temporary.open("xb") as stream:
                 for chunk in self.stream(sha256):
                     digest.update(chunk)
                     stream.write(chunk)
@@ -252,7 +262,7 @@ class BucketBlobs:
             temporary.chmod(0o444)
             temporary.replace(path)
         finally:
-            temporary.unlink(missing_ok=True)  # half a download on a full disk would keep it full
+            temporary.unlink(missing_ok=True)
 
     def exists(self, sha256: str) -> bool:
         """Ask the store for the object's head."""
@@ -361,7 +371,7 @@ def sweep_incoming(blobs: Blobs, *, grace_s: float) -> int:
     Returns:
         How many were deleted.
     """
-    return _delete_old(blobs.incoming, grace_s)
+    return leftovers.delete_old(blobs.incoming, grace_s=grace_s)
 
 
 def sweep_cache(blobs: Blobs, *, grace_s: float) -> int:
@@ -370,23 +380,4 @@ def sweep_cache(blobs: Blobs, *, grace_s: float) -> int:
     Returns:
         How many were deleted.
     """
-    return _delete_old(blobs.cache, grace_s) if blobs.cache else 0
-
-
-def _delete_old(folder: Path, grace_s: float) -> int:
-    deadline = datetime.now(UTC).timestamp() - grace_s
-    stale = [path for path in folder.iterdir() if _changed_at(path) < deadline]
-    for path in stale:
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
-    return len(stale)
-
-
-def _changed_at(path: Path) -> float:
-    """Return when a file was last written to; a file that is gone meanwhile is as new as can be."""
-    try:
-        return path.stat().st_mtime
-    except FileNotFoundError:
-        return float("inf")
+    return leftovers.delete_old(blobs.cache, grace_s=grace_s) if blobs.cache else 0

@@ -8,6 +8,7 @@ properties, so it follows the light and the dark theme. Every chart has its numb
 import hashlib
 import html
 import re
+import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,9 +16,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import altair as alt
+import structlog
 import vl_convert
 
 from evaluator.results import ClassScore, DepthBin, Scores
+from server.blobs import deleted_on_failure
+
+log = structlog.get_logger(__name__)
 
 CHART_VERSION = "1"
 """Part of the name of a kept chart; raised when charts look different."""
@@ -136,13 +141,20 @@ class ChartStore:
         self._recent = lru_cache(maxsize=64)(self._load)
 
     def charts(self, scores_sha256: str, scores: Scores) -> tuple[Chart, ...]:
-        """Give the charts of one result, drawing them when this is the first view."""
+        """Give the charts of one result, drawing them when this is the first view.
+
+        On a full disk they are drawn, and drawn again at the next view: no page fails for want of a copy.
+        """
         kept = self._recent(scores_sha256)
-        if kept is None:
-            self._keep(scores_sha256, draw_all(scores))
-            self._recent.cache_clear()
-            kept = self._recent(scores_sha256)
-        return kept or draw_all(scores)
+        if kept is not None:
+            return kept
+        drawn = draw_all(scores)
+        try:
+            self._keep(scores_sha256, drawn)
+        except OSError as error:
+            log.warning("charts_not_kept", error=repr(error))
+        self._recent.cache_clear()
+        return drawn
 
     def _path(self, scores_sha256: str, name: str) -> Path:
         key = hashlib.sha256(f"{CHART_VERSION}:{scores_sha256}".encode()).hexdigest()
@@ -163,9 +175,10 @@ class ChartStore:
         for chart in charts:
             path = self._path(scores_sha256, chart.name)
             # Written beside and renamed: a second process never reads half a chart.
-            unfinished = path.with_suffix(f".{id(chart)}.part")
-            unfinished.write_text(chart.svg, encoding="utf-8")
-            unfinished.replace(path)
+            unfinished = path.with_suffix(f".{uuid.uuid4().hex}.part")
+            with deleted_on_failure(unfinished):
+                unfinished.write_text(chart.svg, encoding="utf-8")
+                unfinished.replace(path)
 
 
 def _labels(scores: Scores) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from server import database
+from server import database, leftovers
 from server.errors import NotFound, QuotaExceeded
 from server.models import Team, Upload, User
 
@@ -66,30 +66,39 @@ def find(session: Session, upload_id: str, *, user: User) -> Upload:
     except ValueError:
         upload = None
     if upload is None or upload.user_id != user.id or upload.expires_at <= database.now(session):
-        message = f"there is no upload {upload_id[:64]!r} of yours; it may have expired, begin a new one"
-        raise NotFound(message)
+        raise NotFound(_missing(upload_id))
     return upload
 
 
+def _missing(upload_id: str) -> str:
+    return f"there is no upload {upload_id[:64]!r} of yours; it may have expired, begin a new one"
+
+
 def advance(session: Session, upload_id: uuid.UUID, offset_bytes: int) -> None:
-    """Record how many bytes are safe, and let the upload live on."""
-    upload = session.get_one(Upload, upload_id)
+    """Record how many bytes are safe, and let the upload live on.
+
+    Raises:
+        NotFound: It expired meanwhile.
+    """
+    upload = session.get(Upload, upload_id)
+    if upload is None:
+        raise NotFound(_missing(str(upload_id)))
     upload.offset_bytes = offset_bytes
     upload.expires_at = database.now(session) + LIFETIME
 
 
 def complete(session: Session, upload_id: uuid.UUID, submission_id: uuid.UUID) -> None:
     """Record what a whole upload became."""
-    session.get_one(Upload, upload_id).submission_id = submission_id
+    session.execute(sa.update(Upload).where(Upload.id == upload_id).values(submission_id=submission_id))
 
 
-def delete(session: Session, upload: Upload) -> None:
+def delete(session: Session, upload_id: uuid.UUID) -> None:
     """Forget an upload."""
-    session.delete(upload)
+    session.execute(sa.delete(Upload).where(Upload.id == upload_id))
 
 
 def sweep(session: Session, folder: Path) -> int:
-    """Delete expired uploads with their part files, and part files nobody knows.
+    """Delete expired uploads with their part files, and part files nobody knows; never one that is being written to.
 
     Returns:
         How many files were deleted.
@@ -97,7 +106,4 @@ def sweep(session: Session, folder: Path) -> int:
     found = list(folder.glob("*.part"))  # listed first: a file is made only after its row is committed
     session.execute(sa.delete(Upload).where(Upload.expires_at <= database.now(session)))
     known = {str(key) for key in session.scalars(sa.select(Upload.id).where(Upload.submission_id.is_(None)))}
-    stale = [path for path in found if path.stem not in known]
-    for path in stale:
-        path.unlink(missing_ok=True)
-    return len(stale)
+    return sum(leftovers.delete_unless_held(path) for path in found if path.stem not in known)

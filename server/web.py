@@ -23,6 +23,7 @@ from server.api.head import AnswersHead
 from server.api.identity import Identities
 from server.api.polling import Polls, RepeatedPolls
 from server.api.spool import UploadGate, UploadLimits
+from server.api.sweeping import swept
 from server.api.watch import Watch
 from server.charts import ChartStore
 from server.pages import routes as pages
@@ -107,7 +108,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     anyio.to_thread.current_default_thread_limiter().total_tokens = THREADS
     web: Web = app.state.web
     try:
-        yield
+        async with swept(web.services):
+            yield
     finally:
         await web.watch.close()
         web.services.close()

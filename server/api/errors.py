@@ -15,6 +15,7 @@ ServerError                        (server/errors.py)
 ├── IdempotencyMismatch            422  idempotency_mismatch
 ├── TooManyRequests                429  too_many_requests
 ├── TooManyUploads                 503  too_many_uploads    (Unavailable)
+│   └── TooManyOwnUploads          503  too_many_own_uploads
 └── DiskFull                       507  storage_full        (StorageFull)
 """
 
@@ -194,9 +195,21 @@ class TooManyUploads(Unavailable):
     code = "too_many_uploads"
     retry_after_s = 5
 
-    def __init__(self) -> None:
+    def __init__(self, message: str = "") -> None:
         """Say what helps."""
-        super().__init__(f"The server is taking as many uploads as it can; try again in {self.retry_after_s} s.")
+        super().__init__(
+            message or f"The server is taking as many uploads as it can; try again in {self.retry_after_s} s."
+        )
+
+
+class TooManyOwnUploads(TooManyUploads):
+    """As many uploads of one user as the server takes at a time are under way."""
+
+    code = "too_many_own_uploads"
+
+    def __init__(self, most: int) -> None:
+        """Say what helps."""
+        super().__init__(f"{most} uploads of yours are under way, the most at a time; wait for one of them to end.")
 
 
 class DiskFull(StorageFull):

@@ -1,6 +1,7 @@
 """multipart/form-data with one large file, parsed while it arrives (RFC 7578).
 
-The file part goes straight to the spool; the other fields are small and kept in memory under caps.
+The file part goes straight to the spool; the other fields are small and kept in memory under caps. Whatever is neither
+(boundaries, headers, what stands after the closing boundary) counts against one cap together with them.
 """
 
 from collections.abc import AsyncIterator, Mapping
@@ -10,9 +11,9 @@ from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 
 from server.api.errors import MalformedRequest, UnsupportedMediaType
-from server.api.spool import Spool
+from server.api.spool import FORM_OVERHEAD_BYTES, Spool
 
-MAX_FIELDS = 24
+MAX_PARTS = 24
 MAX_FIELD_BYTES = 64 << 10
 
 
@@ -61,6 +62,8 @@ class FormReader:
         self._headers: dict[str, str] = {}
         self._part: _Part | None = None
         self._file_bytes: list[bytes] = []
+        self._names: set[str] = set()
+        self._received_bytes = 0
         self._complete = False
         try:
             self._parser = MultipartParser(
@@ -100,7 +103,12 @@ class FormReader:
         return self.form
 
     async def feed(self, chunk: bytes) -> Mapping[str, str]:
-        """Parse the next bytes of the body and give the fields that are complete by now."""
+        """Parse the next bytes of the body and give the fields that are complete by now.
+
+        Raises:
+            MalformedRequest: It is not a form, or breaks a cap.
+            UploadTooLarge: The archive is larger than the server takes.
+        """
         try:
             self._parser.write(chunk)
         except FormParserError as error:
@@ -108,6 +116,9 @@ class FormReader:
         for data in self._file_bytes:
             await self._spool.write(data)
         self._file_bytes.clear()
+        self._received_bytes += len(chunk)
+        if self._received_bytes - self._spool.size_bytes > FORM_OVERHEAD_BYTES:
+            raise MalformedRequest(f"The form has more than {FORM_OVERHEAD_BYTES} bytes besides the archive.")
         return self.form.fields
 
     def _begin_part(self) -> None:
@@ -129,11 +140,14 @@ class FormReader:
         _, options = parse_options_header(self._headers.get("content-disposition", "").encode())
         name = options.get(b"name", b"").decode("utf-8", "replace")
         file_name = options[b"filename"].decode("utf-8", "replace") if b"filename" in options else None
-        if len(self.form.fields) >= MAX_FIELDS:
-            raise MalformedRequest(f"The form has more than {MAX_FIELDS} fields.")
+        if not name:
+            raise MalformedRequest("A part of the form has no name; write `Content-Disposition: form-data; name=...`.")
+        if name in self._names:
+            raise MalformedRequest(f"The form has more than one part named {name!r}; send it once.")
+        self._names.add(name)
+        if len(self._names) > MAX_PARTS:
+            raise MalformedRequest(f"The form has more than {MAX_PARTS} parts.")
         if name == self._file_field:
-            if self.form.file_name is not None:
-                raise MalformedRequest(f"The form has more than one part named {name!r}; send one archive.")
             self.form.file_name = file_name or ""
         self._part = _Part(name, file_name)
 

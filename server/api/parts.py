@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from server.api.errors import DiskFull, UploadBusy
+from server.api.errors import UploadBusy
+from server.blobs import no_room_is_said
 
 _CHUNK_BYTES = 1 << 20
 
 
 class PartFile:
-    """Bytes that are still arriving; everything here blocks, so call it on a thread."""
+    """Bytes that are still arriving; everything here blocks, so call it on a thread. A full disk is `StorageFull`."""
 
     def __init__(self, descriptor: int) -> None:
         """Write to an open, locked file."""
@@ -33,13 +34,11 @@ class PartFile:
     def append(self, data: bytes) -> None:
         """Write bytes at the end."""
         view = memoryview(data)
-        try:
+        with no_room_is_said():
             while view:
                 written = os.pwrite(self._descriptor, view, self.end)
                 self.end += written
                 view = view[written:]
-        except OSError as error:
-            raise DiskFull from error
 
     def cut(self, offset: int) -> None:
         """Drop everything from `offset` on."""
@@ -48,7 +47,8 @@ class PartFile:
 
     def make_safe(self) -> None:
         """Flush to the disk."""
-        os.fsync(self._descriptor)
+        with no_room_is_said():
+            os.fsync(self._descriptor)
 
     def sha256(self) -> str:
         """Digest the whole file."""
@@ -66,9 +66,11 @@ def locked(path: Path) -> Iterator[PartFile]:
 
     Raises:
         UploadBusy: Somebody else is writing.
+        StorageFull: The disk has no room for another file.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    with no_room_is_said():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -15,11 +15,11 @@ from sqlalchemy.orm import Session
 
 from evaluator.intake import check_archive
 from server import accounts, benchmarks, quota, submissions
-from server.api.errors import ArchiveRefused, DiskFull, IdempotencyMismatch
+from server.api.errors import ArchiveRefused, IdempotencyMismatch
 from server.api.identity import Identity
 from server.api.spool import SpooledFile
-from server.errors import Forbidden, InvalidField, StorageFull
-from server.models import Submission, Team, User
+from server.errors import Forbidden, InvalidField
+from server.models import Phase, Submission, Team, User
 from server.services import Services
 
 MAX_KEY_CHARACTERS = 255
@@ -52,6 +52,8 @@ class Admission:
 def admit(session: Session, identity: Identity, order: Order) -> Admission:
     """Refuse an upload that could not become a submission before its bytes are sent.
 
+    What was made under the same Idempotency-Key before is answered again, whatever has closed or run out meanwhile.
+
     Raises:
         NotFound: There is no such phase.
         PhaseClosed: It takes no submissions now.
@@ -60,13 +62,12 @@ def admit(session: Session, identity: Identity, order: Order) -> Admission:
         InvalidField: The method's name cannot be used, or the team is not said.
     """
     phase = benchmarks.find_phase(session, order.benchmark, order.phase)
-    submissions.check_open(session, phase)
     accounts.checked_slug("method", order.method)
     if order.idempotency_key is not None and not 0 < len(order.idempotency_key) <= MAX_KEY_CHARACTERS:
         raise InvalidField(f"idempotency-key must have 1 to {MAX_KEY_CHARACTERS} characters")
     team = _team_of(session, identity, order.team)
-    if order.idempotency_key is None:  # a replay is answered whatever is left
-        quota.check(session, team=team, phase=phase)
+    if _known(session, identity.user.id, order.idempotency_key) is None:
+        _check_room_for_one(session, team, phase)
     return Admission(identity.user.id, team.id, identity.actor)
 
 
@@ -86,21 +87,19 @@ def keep(services: Services, admission: Admission, order: Order, spooled: Spoole
     known = _replayed(services, admission, order, spooled.sha256)
     if known is not None:
         return known
-    _check_quota(services, admission, order)
-    try:
-        services.blobs.put_file(spooled.path, spooled.sha256)
-    except StorageFull as error:
-        raise DiskFull from error
+    with services.snapshot() as session:
+        # Asked before the bytes are promoted, so that a resumable upload can be completed later.
+        phase = benchmarks.find_phase(session, order.benchmark, order.phase)
+        _check_room_for_one(session, session.get_one(Team, admission.team_id), phase)
+    services.blobs.put_file(spooled.path, spooled.sha256)
     submission_id = _record(services, admission, order, spooled)
     services.queue.enqueue(submission_id)
     return submission_id
 
 
-def _check_quota(services: Services, admission: Admission, order: Order) -> None:
-    """Refuse before the bytes are promoted, so that a resumable upload can be completed later."""
-    with services.snapshot() as session:
-        phase = benchmarks.find_phase(session, order.benchmark, order.phase)
-        quota.check(session, team=session.get_one(Team, admission.team_id), phase=phase)
+def _check_room_for_one(session: Session, team: Team, phase: Phase) -> None:
+    submissions.check_open(session, phase)
+    quota.check(session, team=team, phase=phase)
 
 
 def _record(services: Services, admission: Admission, order: Order, spooled: SpooledFile) -> uuid.UUID:
@@ -130,11 +129,8 @@ def _record(services: Services, admission: Admission, order: Order, spooled: Spo
 
 def _replayed(services: Services, admission: Admission, order: Order, sha256: str) -> uuid.UUID | None:
     """Find the submission that this very request made before."""
-    if order.idempotency_key is None:
-        return None
     with services.snapshot() as session:
-        key = (Submission.user_id == admission.user_id, Submission.idempotency_key == order.idempotency_key)
-        known = session.scalar(sa.select(Submission).where(*key))
+        known = _known(session, admission.user_id, order.idempotency_key)
         if known is None:
             return None
         phase = known.phase
@@ -142,6 +138,14 @@ def _replayed(services: Services, admission: Admission, order: Order, sha256: st
         if made != (order.benchmark, order.phase, order.method, admission.team_id, sha256):
             raise IdempotencyMismatch
         return known.id
+
+
+def _known(session: Session, user_id: int, key: str | None) -> Submission | None:
+    """Find what a user sent under a key before."""
+    if key is None:
+        return None
+    mine = (Submission.user_id == user_id, Submission.idempotency_key == key)
+    return session.scalar(sa.select(Submission).where(*mine))
 
 
 def _team_of(session: Session, identity: Identity, slug: str | None) -> Team:

@@ -27,7 +27,7 @@ from server.api.errors import InvalidValue, MalformedRequest, MissingToken, Unsu
 from server.api.identity import Credentials, Identity
 from server.api.multipart import Form, FormReader, boundary_of
 from server.api.receiving import Admission, Order
-from server.api.spool import at_a_decent_pace
+from server.api.spool import FORM_OVERHEAD_BYTES, at_a_decent_pace
 from server.errors import (
     Conflict,
     Forbidden,
@@ -104,6 +104,7 @@ SENDING_PROBLEMS = (
     errors.TooManyRequests,
     Unavailable,
     errors.TooManyUploads,
+    errors.TooManyOwnUploads,
     errors.DiskFull,
     MalformedRequest,
     errors.UploadTimeout,
@@ -171,7 +172,7 @@ async def receive_raw(request: Request, web: Web, asker: Credentials, given: dic
     order = order_of(given)
     announced = announced_sha256(request.headers)
     admission = await run_in_threadpool(admit, web, asker, order)
-    async with web.gate.spool(announced_size(request)) as spool:
+    async with web.gate.spool(admission.user_id, announced_size(request)) as spool:
         async for chunk in at_a_decent_pace(request.stream(), web.gate.limits):
             await spool.write(chunk)
         spooled = await spool.finish()
@@ -183,11 +184,11 @@ async def receive_form(
     request: Request, web: Web, asker: Credentials, given: dict[str, str | None], boundary: bytes
 ) -> str:
     """Take an archive that is the part `predictions` of a form."""
-    await run_in_threadpool(_require, web, asker)
+    user_id = await run_in_threadpool(_require, web, asker)
     # The digest of a form covers its framing too; it is not the archive's.
     if announced_sha256(request.headers) is not None:
         raise MalformedRequest("Send the archive as the raw body to have its digest checked.")
-    async with web.gate.spool(announced_size(request)) as spool:
+    async with web.gate.spool(user_id, announced_archive(request)) as spool:
         reader = FormReader(boundary, spool, file_field="predictions")
         form = await reader.read(at_a_decent_pace(request.stream(), web.gate.limits))
         order = order_of(_merged(given, form))
@@ -226,15 +227,21 @@ def announced_size(request: Request) -> int | None:
     return int(value) if value is not None and re.fullmatch(r"[0-9]{1,18}", value) else None
 
 
+def announced_archive(request: Request) -> int | None:
+    """Read from Content-Length how large the archive in a form is at least."""
+    size = announced_size(request)
+    return None if size is None else max(0, size - FORM_OVERHEAD_BYTES)
+
+
 def admit(web: Web, asker: Credentials, order: Order) -> Admission:
     """Ask whether the upload may begin; blocks."""
     with web.services.snapshot() as session:
         return receiving.admit(session, web.identities.require(session, asker), order)
 
 
-def _require(web: Web, asker: Credentials) -> None:
+def _require(web: Web, asker: Credentials) -> int:
     with web.services.snapshot() as session:
-        web.identities.require(session, asker)
+        return web.identities.require(session, asker).user.id
 
 
 def _merged(given: dict[str, str | None], form: Form) -> dict[str, str | None]:

@@ -5,7 +5,8 @@
     PATCH   send the next part                                     -> 204, or 202 with the submission after the last
     DELETE  give up
 
-A part that breaks off keeps what arrived, unless it announced a digest, which half a part cannot meet.
+A part that breaks off keeps what arrived, unless it announced a digest, which half a part cannot meet. A part takes one
+of the places for uploads while it arrives.
 """
 
 import hashlib
@@ -21,7 +22,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
-from evaluator.errors import BenchmarkError
 from server import uploads
 from server.api import documents, errors, examples, receiving
 from server.api.digests import announced_sha256, check_sha256
@@ -39,7 +39,7 @@ from server.api.identity import Credentials, Identity
 from server.api.parts import PartFile, locked
 from server.api.receiving import Admission, Order
 from server.api.sending import SENDING_PROBLEMS, Text, accepted, order_of
-from server.api.spool import SpooledFile, at_a_decent_pace
+from server.api.spool import SpooledFile, at_a_decent_pace, check_floor
 from server.errors import NotAuthenticated, NotFound
 from server.models import Team, Upload
 
@@ -48,6 +48,8 @@ router = APIRouter(prefix="/uploads", tags=["resumable uploads"])
 PART_TYPE = "application/partial-upload"
 
 _BUFFER_BYTES = 1 << 20
+_SAFE_EVERY_BYTES = 64 << 20
+"""So often a long part is made safe, and its upload kept from expiring."""
 
 UploadId = Annotated[str, Path(description="Id of an upload", examples=[examples.UPLOAD["id"]])]
 
@@ -160,7 +162,7 @@ def delete_upload(upload_id: UploadId, web: WebDependency, asker: Asker) -> Resp
     def work(session: Session, identity: Identity) -> Response:
         upload = _find(session, upload_id, identity)
         with locked(_path(web, upload.id)):
-            uploads.delete(session, upload)
+            uploads.delete(session, upload.id)
             _path(web, upload.id).unlink(missing_ok=True)
         return Response(status_code=204)
 
@@ -204,61 +206,85 @@ async def append_part(
         raise UnsupportedMediaType(f"Send a part as {PART_TYPE}.")
     announced = announced_sha256(request.headers)
     known = await run_in_threadpool(_open, web, asker, upload_id)
-    path = _path(web, known.id)
-    if known.submission_id is not None:
-        return await run_in_threadpool(accepted, web, asker, str(known.submission_id))
-    with locked(path) as part:
-        # Read again under the lock: another request may have got further meanwhile.
-        known = await run_in_threadpool(_open, web, asker, upload_id)
-        start = await run_in_threadpool(part.begin, known.offset)
-        if offset != start:
-            raise OffsetConflict(offset=start)
-        stream = at_a_decent_pace(request.stream(), web.gate.limits)
-        await _append(web, known, part, stream, announced)
-        if part.end < known.length:
-            headers = _headers(part.end, known.length)
-            return Response(status_code=204, headers=headers)
-        submission_id = await run_in_threadpool(_complete, web, known, part, path)
-    return await run_in_threadpool(accepted, web, asker, str(submission_id))
+    if known.submission_id is None:
+        async with web.gate.place(known.admission.user_id):
+            with locked(_path(web, known.id)) as part:
+                # Read again under the lock: another request may have got further meanwhile.
+                known = await run_in_threadpool(_open, web, asker, upload_id)
+                if known.submission_id is None:
+                    start = await run_in_threadpool(part.begin, known.offset)
+                    if offset != start:
+                        raise OffsetConflict(offset=start)
+                    stream = at_a_decent_pace(request.stream(), web.gate.limits)
+                    known = await _go_on(web, known, part, stream, announced)
+                    if known.submission_id is None:
+                        return Response(status_code=204, headers=_headers(part.end, known.length))
+    return await run_in_threadpool(accepted, web, asker, str(known.submission_id))
+
+
+async def _go_on(web: Web, known: _Open, part: PartFile, stream: AsyncIterator[bytes], announced: str | None) -> _Open:
+    """Append a part; the last one makes the submission."""
+    await _append(web, known, part, stream, announced)
+    if part.end < known.length:
+        return known
+    return replace(known, submission_id=await run_in_threadpool(_complete, web, known, part))
 
 
 async def _append(web: Web, known: _Open, part: PartFile, stream: AsyncIterator[bytes], announced: str | None) -> None:
     """Write what comes; whatever ends it, what is safe is on the disk and in the record."""
-    start, buffer = part.end, bytearray()
-    digest = hashlib.sha256()
+    start, rest = part.end, bytearray()
     web.gate.check_room(known.length - start)
     try:
-        async for chunk in stream:
-            if part.end + len(buffer) + len(chunk) > known.length:
-                raise MalformedRequest(f"The upload was announced with {known.length} bytes; this part goes beyond.")
-            buffer += chunk
-            digest.update(chunk)
-            if len(buffer) >= _BUFFER_BYTES:
-                await run_in_threadpool(part.append, bytes(buffer))
-                buffer.clear()
-        check_sha256(announced, digest.hexdigest())
-        await run_in_threadpool(part.append, bytes(buffer))
+        sha256 = await _take(web, known, part, stream, rest, all_or_nothing=announced is not None)
+        check_sha256(announced, sha256)
+        await run_in_threadpool(_write, web, part, bytes(rest))
     except (ClientDisconnect, UploadTimeout):
         if announced is not None:
             part.cut(start)
-        elif buffer:
-            await run_in_threadpool(part.append, bytes(buffer))
+        elif rest:
+            await run_in_threadpool(_write, web, part, bytes(rest))
         raise
-    except BenchmarkError:
+    except BaseException:  # whatever it is: what was not checked is not kept
         part.cut(start)
         raise
     finally:
-        await run_in_threadpool(_make_safe, web, known, part)
+        await run_in_threadpool(_make_safe, web, known, part, part.end)
 
 
-def _make_safe(web: Web, known: _Open, part: PartFile) -> None:
+async def _take(
+    web: Web, known: _Open, part: PartFile, stream: AsyncIterator[bytes], rest: bytearray, *, all_or_nothing: bool
+) -> str:
+    """Write the body but for its `rest`, which is still in memory, and return the digest of all of it."""
+    start = safe = part.end
+    digest = hashlib.sha256()
+    async for chunk in stream:
+        if part.end + len(rest) + len(chunk) > known.length:
+            raise MalformedRequest(f"The upload was announced with {known.length} bytes; this part goes beyond.")
+        rest += chunk
+        digest.update(chunk)
+        if len(rest) >= _BUFFER_BYTES:
+            await run_in_threadpool(_write, web, part, bytes(rest))
+            rest.clear()
+        if part.end - safe >= _SAFE_EVERY_BYTES:
+            safe = part.end
+            await run_in_threadpool(_make_safe, web, known, part, start if all_or_nothing else safe)
+    return digest.hexdigest()
+
+
+def _write(web: Web, part: PartFile, data: bytes) -> None:
+    check_floor(web.gate.folder, web.gate.limits, len(data))
+    part.append(data)
+
+
+def _make_safe(web: Web, known: _Open, part: PartFile, offset: int) -> None:
+    """Flush the part and record how many bytes the upload goes on after."""
     part.make_safe()
     with web.services.transaction() as session:
-        uploads.advance(session, known.id, part.end)
+        uploads.advance(session, known.id, offset)
 
 
-def _complete(web: Web, known: _Open, part: PartFile, path: FilePath) -> uuid.UUID:
-    sha256 = part.sha256()
+def _complete(web: Web, known: _Open, part: PartFile) -> uuid.UUID:
+    path, sha256 = _path(web, known.id), part.sha256()
     try:
         check_sha256(known.sha256, sha256)
         submission_id = receiving.keep(
@@ -267,7 +293,7 @@ def _complete(web: Web, known: _Open, part: PartFile, path: FilePath) -> uuid.UU
     except (DigestMismatch, ArchiveRefused):
         # Sending the same bytes again would not help: the upload is over.
         with web.services.transaction() as session:
-            uploads.delete(session, session.get_one(Upload, known.id))
+            uploads.delete(session, known.id)
         path.unlink(missing_ok=True)
         raise
     with web.services.transaction() as session:

@@ -16,7 +16,7 @@ from server.api.identity import Identity
 from server.api.multipart import Form, FormReader, boundary_of
 from server.api.problems import ProblemDocument, problem_of
 from server.api.receiving import Admission
-from server.api.sending import announced_size, order_of
+from server.api.sending import announced_archive, order_of
 from server.api.spool import Spool, at_a_decent_pace
 from server.errors import ServerError
 from server.models import Method, User
@@ -69,8 +69,8 @@ def form_context(session: Session, user: User, *, benchmark: str, phase: str, or
 
 async def _receive(request: Request, visit: Visit, boundary: bytes, fields: Fields) -> str:
     web = visit.web
-    await run_in_threadpool(_require_user, visit)  # before the body: nobody else may hold one of the few places
-    async with web.gate.spool(announced_size(request)) as spool:
+    user_id = await run_in_threadpool(_require_user, visit)  # before the body: nobody else may hold a place
+    async with web.gate.spool(user_id, announced_archive(request)) as spool:
         stream = at_a_decent_pace(request.stream(), web.gate.limits)
         form = await _read_checked(stream, boundary, spool, visit)
         fields.update({**form.fields, "benchmark": fields["benchmark"], "phase": fields["phase"]})
@@ -101,18 +101,21 @@ def _origin(visit: Visit) -> str:
     return visit.web.services.settings.public_url.rstrip("/")
 
 
-def _require_user(visit: Visit) -> None:
+def _require_user(visit: Visit) -> int:
     with visit.web.services.snapshot() as session:
-        if visit.web.identities.user_of(session, visit.login) is None:
-            raise MissingToken("Your session ended; log in again.")
+        return _user_of(session, visit).id
+
+
+def _user_of(session: Session, visit: Visit) -> User:
+    user = visit.web.identities.user_of(session, visit.login)
+    if user is None:
+        raise MissingToken("Your session ended; log in again.")
+    return user
 
 
 def _admit(visit: Visit, order: receiving.Order) -> Admission:
     with visit.web.services.snapshot() as session:
-        user = visit.web.identities.user_of(session, visit.login)
-        if user is None:
-            raise MissingToken("Your session ended; log in again.")
-        return receiving.admit(session, Identity(user, None), order)
+        return receiving.admit(session, Identity(_user_of(session, visit), None), order)
 
 
 def _form_again(visit: Visit, fields: Fields, problem: ProblemDocument) -> Response:

@@ -203,8 +203,8 @@ def test_a_client_that_hangs_up_leaves_nothing(quiet_services: Services, archive
 
 
 def test_one_upload_too_many_is_told_to_come_back(quiet_services: Services, archive: bytes) -> None:
-    """With every slot taken by a slow client, the next upload is 503 with Retry-After."""
-    limits = UploadLimits(max_bytes=1 << 30, disk_floor_bytes=0, concurrency=1)
+    """With every place taken by a slow client, the next upload is 503 with Retry-After."""
+    limits = UploadLimits(max_bytes=1 << 30, disk_floor_bytes=0, concurrency=1, patience_s=0)
     with (
         running_site(quiet_services, limits=limits) as site,
         site.client(site.token()) as client,
@@ -224,6 +224,35 @@ def test_a_repeated_request_gives_the_same_submission(site: Site, archive: bytes
     assert (first.status_code, second.status_code) == (202, 202)
     assert first.json() == second.json()
     assert first.headers["location"] == second.headers["location"]
+    assert recorded(site.services) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE phase SET opens_at = '2019-01-01 00:00:00.000000', closes_at = '2020-01-01 00:00:00.000000'",
+        "UPDATE phase SET submissions_per_day = 1",
+    ],
+    ids=["closed", "used_up"],
+)
+def test_a_repeated_request_is_answered_whatever_changed_meanwhile(site: Site, archive: bytes, change: str) -> None:
+    """When the phase has closed, or the quota is used up, a used key still gives its submission; a new one does not."""
+    fields = {**PARAMS, "method": "ours"}
+    with site.client(site.token()) as client:
+        first = send(client, archive, Idempotency_Key="run-7")
+        with site.services.transaction() as session:
+            session.execute(sa.text(change))
+        raw = send(client, archive, Idempotency_Key="run-7")
+        form = client.post(
+            "/api/v1/submissions",
+            data=fields,
+            files={"predictions": ("p.zip", archive)},
+            headers={"Idempotency-Key": "run-7"},
+        )
+        new = send(client, archive, Idempotency_Key="run-8")
+    assert (raw.status_code, form.status_code) == (202, 202)
+    assert raw.json() == form.json() == first.json()
+    assert (new.status_code, problem_of(new)["code"]) in {(409, "phase_closed"), (429, "quota_exceeded")}
     assert recorded(site.services) == (1, 1)
 
 

@@ -1,0 +1,106 @@
+"""Forms that are not as a browser or curl would send them: refused with their reason, under caps."""
+
+from collections.abc import Sequence
+
+import httpx
+import pytest
+
+from server.api.multipart import MAX_FIELD_BYTES, MAX_PARTS
+from server.api.spool import FORM_OVERHEAD_BYTES, UploadLimits
+from server.services import Services
+from tests.integration.api.test_sending import left_behind, problem_of, recorded
+from tests.integration.site import Site, running_site
+
+FIELDS = (("benchmark", b"cs3d"), ("phase", b"test"), ("method", b"ours"))
+END = b"\r\n--b--\r\n"
+
+
+def field(name: str, value: bytes) -> bytes:
+    """Write one field, with the line break before its boundary."""
+    return b'\r\n--b\r\nContent-Disposition: form-data; name="%s"\r\n\r\n%s' % (name.encode(), value)
+
+
+def file(data: bytes, name: str = "predictions") -> bytes:
+    """Write one file."""
+    return b'\r\n--b\r\nContent-Disposition: form-data; name="%s"; filename="p.zip"\r\n\r\n%s' % (name.encode(), data)
+
+
+def form(*parts: bytes, end: bytes = END, fields: Sequence[tuple[str, bytes]] = FIELDS) -> bytes:
+    """Write a form with the usual fields before `parts`."""
+    return b"".join((*(field(name, value) for name, value in fields), *parts, end))
+
+
+def post(client: httpx.Client, body: bytes) -> httpx.Response:
+    """Send a form as it is."""
+    return client.post("/api/v1/submissions", content=body, headers={"Content-Type": "multipart/form-data; boundary=b"})
+
+
+def test_the_forms_of_these_tests_are_taken(site: Site, archive: bytes) -> None:
+    """Without anything odd the form is a submission; a short epilogue, which the standard allows, is passed over."""
+    with site.client(site.token()) as client:
+        assert post(client, form(file(archive))).status_code == 202
+        assert post(client, form(file(archive)) + b"an epilogue\r\n").status_code == 202
+
+
+@pytest.mark.parametrize(
+    ("odd", "says"),
+    [
+        ([field("method", b"theirs")], "more than one part named 'method'"),
+        ([field("note", b"1"), field("note", b"2")], "more than one part named 'note'"),
+        ([file(b"PK")], "more than one part named 'predictions'"),
+        ([file(b"x", "other"), file(b"y", "other")], "more than one part named 'other'"),
+        ([field("description", b"d" * (MAX_FIELD_BYTES + 1))], "longer than 65536 bytes"),
+        ([file(b"d" * (MAX_FIELD_BYTES + 1), "other")], "longer than 65536 bytes"),
+        ([field(f"more{n}", b"") for n in range(MAX_PARTS)], "more than 24 parts"),
+        ([field("", b"value")], "no name"),
+        ([b"\r\n--b\r\nContent-Type: text/plain\r\n\r\nvalue"], "no name"),
+        ([b"\r\n--b\r\nContent-Disposition: form-data; name=" + b"n" * 10_000 + b"\r\n\r\n"], "cannot be read"),
+        ([b"\r\n--b\r\nno header\r\n\r\n"], "cannot be read"),
+    ],
+)
+def test_odd_parts_are_refused_by_their_reason(site: Site, archive: bytes, odd: list[bytes], says: str) -> None:
+    """Repeated, oversized, unnamed and too many parts are 400 and say which; nothing is recorded or left behind."""
+    with site.client(site.token()) as client:
+        response = post(client, form(file(archive), *odd))
+    problem = problem_of(response)
+    assert (response.status_code, problem["code"]) == (400, "malformed_request")
+    assert says in str(problem["detail"])
+    assert recorded(site.services) == (0, 0)
+    assert left_behind(site.services) == []
+
+
+@pytest.mark.parametrize("place", ["before", "after"])
+def test_padding_is_capped(site: Site, archive: bytes, place: str) -> None:
+    """What stands around the parts of a form, as its epilogue may, counts: beyond 2 MiB the form is 400."""
+    padding = b"\r\n" * (FORM_OVERHEAD_BYTES // 2 + 1)
+    body = form(file(archive))
+    with site.client(site.token()) as client:
+        response = post(client, padding + body if place == "before" else body + padding)
+    assert (response.status_code, problem_of(response)["code"]) == (400, "malformed_request")
+    assert left_behind(site.services) == []
+
+
+@pytest.mark.parametrize("end", [b"", b"\r\n--b", b"\r\n--b-", b"\r\n--c--\r\n"])
+def test_a_form_without_its_end_is_refused(site: Site, archive: bytes, end: bytes) -> None:
+    """A form that ends before its closing boundary is 400, even when its archive is whole."""
+    with site.client(site.token()) as client:
+        response = post(client, form(file(archive), end=end))
+    assert (response.status_code, problem_of(response)["code"]) == (400, "malformed_request")
+
+
+@pytest.mark.parametrize(("spare", "status"), [(0, 202), (-1, 413)])
+def test_the_cap_is_the_archives_not_the_forms(
+    quiet_services: Services, archive: bytes, spare: int, status: int
+) -> None:
+    """An archive of exactly the size allowed is taken from a form; one byte more is 413."""
+    limits = UploadLimits(max_bytes=len(archive) + spare, disk_floor_bytes=0)
+    with running_site(quiet_services, limits=limits) as site, site.client(site.token()) as client:
+        assert post(client, form(file(archive))).status_code == status
+
+
+def test_a_form_announced_far_too_large_is_refused_before_its_body(quiet_services: Services, archive: bytes) -> None:
+    """Content-Length alone is enough when even the largest form around an allowed archive would be smaller."""
+    limits = UploadLimits(max_bytes=len(archive), disk_floor_bytes=0)
+    with running_site(quiet_services, limits=limits) as site, site.client(site.token()) as client:
+        response = post(client, bytes(len(archive) + FORM_OVERHEAD_BYTES + 1))
+        assert (response.status_code, problem_of(response)["code"]) == (413, "too_large")
