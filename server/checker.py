@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import sqlalchemy as sa
@@ -101,20 +102,41 @@ def every_old_blob_has_its_row(services: Services, session: Session) -> Found:
 def states_follow_the_trail(services: Services, session: Session) -> Found:
     """The audit trail of every submission is a legal path that ends in its state."""
     del services
-    trails: dict[str, list[str]] = defaultdict(list)
-    changes = [f"submission.{state}" for state in SubmissionState]
-    for event in session.scalars(sa.select(AuditEvent).where(AuditEvent.action.in_(changes)).order_by(AuditEvent.id)):
-        trails[event.subject].append(event.action.removeprefix("submission."))
+    trails = _trails(session)
+    legal = {(source.value, target.value) for source, targets in TRANSITIONS.items() for target in targets}
     for submission in session.scalars(sa.select(Submission)):
         subject = f"submission:{submission.id}"
-        trail = trails.pop(subject, [])
-        legal = {(source.value, target.value) for source, targets in TRANSITIONS.items() for target in targets}
+        trail = [state for state, _ in trails.pop(subject, [])]
         if trail[:1] != ["received"] or trail[-1] != submission.state:
             yield subject, f"is {submission.state}, its trail says {trail}"
         elif not legal.issuperset(itertools.pairwise(trail)):
             yield subject, f"its trail makes an illegal step: {trail}"
     for subject in trails:
         yield subject, "has a trail but no row"
+
+
+def the_trail_has_every_step(services: Services, session: Session) -> Found:
+    """Each step starts where the one before it ended; every attempt since the first valid one began scoring once."""
+    del services
+    trails = _trails(session)
+    for submission in session.scalars(sa.select(Submission)):
+        subject = f"submission:{submission.id}"
+        trail = trails[subject]
+        sources = [detail.get("source") for _, detail in trail[1:]]
+        if sources != [state for state, _ in trail[:-1]]:
+            yield subject, f"its steps {[state for state, _ in trail]} say that they started from {sources}"
+        began = [detail["attempt"] for state, detail in trail if state == SubmissionState.SCORING]
+        if began and began != list(range(began[0], submission.attempt + 1)):
+            yield subject, f"attempts {began} of {submission.attempt} began scoring"
+
+
+def _trails(session: Session) -> defaultdict[str, list[tuple[str, dict[str, Any]]]]:
+    """Read every state that a submission came into, oldest first, with the detail of that event."""
+    trails: defaultdict[str, list[tuple[str, dict[str, Any]]]] = defaultdict(list)
+    changes = [f"submission.{state}" for state in SubmissionState]
+    for event in session.scalars(sa.select(AuditEvent).where(AuditEvent.action.in_(changes)).order_by(AuditEvent.id)):
+        trails[event.subject].append((event.action.removeprefix("submission."), event.detail))
+    return trails
 
 
 def attempts_add_up(services: Services, session: Session) -> Found:
@@ -319,6 +341,7 @@ CHEAP_RULES: tuple[Callable[[Services, Session], Found], ...] = (
     every_row_has_its_blob,
     every_old_blob_has_its_row,
     states_follow_the_trail,
+    the_trail_has_every_step,
     attempts_add_up,
     scores_belong_to_scored,
     no_score_is_written_twice,

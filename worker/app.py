@@ -20,6 +20,7 @@ from server.errors import ServerError
 from server.queue import EVALUATE_TASK, SWEEP_TASK, celery_app
 from server.services import Services
 from server.settings import Settings
+from worker import acknowledging
 from worker.evaluation import evaluate_submission
 from worker.sandbox import Sandbox
 
@@ -30,6 +31,7 @@ POOL_PROCESS_MEMORY_KIB = 512 * 1024
 
 SWEEPS_PER_FILE_SWEEP = 40
 
+acknowledging.install()
 settings = Settings()
 app = celery_app(settings)
 app.conf.worker_concurrency = settings.worker_concurrency or None

@@ -78,6 +78,13 @@ DAMAGES: dict[str, tuple[Callable[[Installation], None], str]] = {
         ),
         "the_ledger_fits_the_states",
     ),
+    "step from elsewhere": (
+        lambda i: _execute(
+            i,
+            "UPDATE audit_event SET detail = json_set(detail, '$.source', 'queued') WHERE action = 'submission.scored'",
+        ),
+        "the_trail_has_every_step",
+    ),
     "lost audit event": (
         lambda i: _execute(i, "DELETE FROM audit_event WHERE action = 'submission.scoring'"),
         "states_follow_the_trail",
