@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 from server import audit, database, integrity, quota, ranking
 from server.claims import Claim, Result
 from server.errors import IllegalTransition, LeaseLost
-from server.models import Attempt, AttemptOutcome, Score, Submission, SubmissionState
+from server.models import Attempt, AttemptOutcome, Score, ScoreReplicates, Submission, SubmissionState
 
 RECEIVED, QUEUED, SCORING = SubmissionState.RECEIVED, SubmissionState.QUEUED, SubmissionState.SCORING
 SCORED, REJECTED = SubmissionState.SCORED, SubmissionState.REJECTED
@@ -143,6 +143,7 @@ def record_score(session: Session, held: Claim, result: Result) -> Score:
         summary=ranking.summary_of(result.scores),
         scores_sha256=result.scores_sha256,
         statistics_sha256=result.statistics_sha256,
+        replicates=None if result.replicates is None else ScoreReplicates(data=result.replicates),
         created_at=database.now(session),
     )
     integrity.keep(session, submission, score, result.integrity)
