@@ -113,6 +113,12 @@ def disable_user(session: Session, user: User, *, actor: str) -> None:
         audit.record(session, actor=actor, action="user.disabled", subject=audit.subject_of(user))
 
 
+def end_sessions(session: Session, user: User, *, actor: str) -> None:
+    """End every login session of a user, whoever holds its cookie. Tokens stay."""
+    user.session_version += 1
+    audit.record(session, actor=actor, action="user.logged_out", subject=audit.subject_of(user))
+
+
 def create_team(session: Session, *, slug: str, name: str, members: list[User], actor: str) -> Team:
     """Create a team with its first members.
 
@@ -139,6 +145,21 @@ def add_member(session: Session, team: Team, user: User, *, actor: str) -> None:
     session.add(Membership(team_id=team.id, user_id=user.id, created_at=database.now(session)))
     session.flush()
     audit.record(session, actor=actor, action="team.joined", subject=audit.subject_of(team), user=user.id)
+
+
+def remove_member(session: Session, team: Team, user: User, *, actor: str) -> None:
+    """Take a user out of a team; what the user sent for it stays, tokens for it no longer work.
+
+    Raises:
+        NotFound: The user is not in the team.
+    """
+    membership = session.get(Membership, (team.id, user.id))
+    if membership is None:
+        message = f"{user.email} is not in team {team.slug}"
+        raise NotFound(message)
+    session.delete(membership)
+    session.flush()
+    audit.record(session, actor=actor, action="team.left", subject=audit.subject_of(team), user=user.id)
 
 
 def is_member(session: Session, *, team_id: int, user_id: int) -> bool:
@@ -187,6 +208,25 @@ def revoke_token(session: Session, token: Token, *, actor: str) -> None:
     if token.revoked_at is None:
         token.revoked_at = database.now(session)
         audit.record(session, actor=actor, action="token.revoked", subject=audit.subject_of(token))
+
+
+def tokens_of(session: Session, user: User) -> list[Token]:
+    """List a user's tokens that were not revoked, latest first."""
+    query = sa.select(Token).where(Token.user_id == user.id, Token.revoked_at.is_(None))
+    return list(session.scalars(query.order_by(Token.id.desc())))
+
+
+def find_token(session: Session, token_id: int) -> Token:
+    """Find a token by its id.
+
+    Raises:
+        NotFound: There is none.
+    """
+    token = session.get(Token, token_id)
+    if token is None:
+        message = f"there is no token {token_id}; `cs3d-admin list-tokens EMAIL` lists a user's"
+        raise NotFound(message)
+    return token
 
 
 def authenticate_token(session: Session, secret: str) -> Token:

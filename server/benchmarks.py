@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -15,7 +16,17 @@ from server import audit, database
 from server.accounts import checked_slug, checked_text
 from server.blobs import Blobs, record_blob
 from server.errors import Conflict, InvalidField, NotFound
-from server.models import Benchmark, GroundTruthVersion, Phase, Publication, Score, Submission, SubmissionState
+from server.models import (
+    Benchmark,
+    GroundTruthVersion,
+    Phase,
+    Publication,
+    Rescoring,
+    RescoringState,
+    Score,
+    Submission,
+    SubmissionState,
+)
 
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 """The time every member of a canonical zip carries, so that equal files give equal bytes."""
@@ -133,45 +144,82 @@ def find_phase(session: Session, benchmark_slug: str, phase_slug: str) -> Phase:
     return phase
 
 
-def import_ground_truth(
-    session: Session, blobs: Blobs, *, phase: Phase, source: Path, actor: str, imported_by: int | None = None
-) -> GroundTruthVersion:
-    """Validate ground truth and add it to the phase as its next version.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedGroundTruth:
+    """Ground truth whose bytes are in the store; no row knows it yet."""
 
-    The first version is in force at once, and so is a later one as long as nothing is published in the phase.
-    Otherwise the published submissions must be scored on it before `enforce_ground_truth` lets it rank.
+    sha256: str
+    source_sha256: str
+    image_list_sha256: str
+    sizes_bytes: dict[str, int]
+    """Of each of the three, by digest."""
+    image_count: int
+    box_count: int
+
+
+def prepare_ground_truth(blobs: Blobs, source: Path) -> PreparedGroundTruth:
+    """Read and validate ground truth and keep its bytes. It may take minutes: do it outside of any transaction.
+
+    Args:
+        blobs: Where its bytes are kept; what is not added to a phase is swept after the grace time.
+        source: A folder or zip of `*_gtBbox3d.json`.
+
+    Raises:
+        GroundTruthError: It cannot be used; every problem is listed.
+    """
+    ground_truth = read_ground_truth(source)
+    parts = {
+        "sha256": ground_truth.to_bytes(),
+        "source_sha256": canonical_zip(source),
+        "image_list_sha256": msgspec.json.encode(ground_truth.image_list()),
+    }
+    digests = {name: blobs.put_bytes(data) for name, data in parts.items()}
+    return PreparedGroundTruth(
+        **digests,
+        sizes_bytes={digests[name]: len(data) for name, data in parts.items()},
+        image_count=len(ground_truth.images),
+        box_count=len(ground_truth),
+    )
+
+
+def add_ground_truth(
+    session: Session,
+    blobs: Blobs,
+    *,
+    phase: Phase,
+    prepared: PreparedGroundTruth,
+    actor: str,
+    imported_by: int | None = None,
+) -> GroundTruthVersion:
+    """Add prepared ground truth to a phase as its next version, not in force.
 
     Args:
         session: Of the transaction.
-        blobs: Where its bytes are kept.
+        blobs: Where its bytes are.
         phase: The phase it belongs to.
-        source: A folder or zip of `*_gtBbox3d.json`.
+        prepared: By `prepare_ground_truth`.
         actor: Who imports it, for the audit trail.
         imported_by: The user's id, where one is known.
 
     Raises:
-        GroundTruthError: It cannot be used; every problem is listed.
         Conflict: The version in force is the same.
     """
-    ground_truth = read_ground_truth(source)
-    prepared = ground_truth.to_bytes()
-    digests = {
-        "sha256": _keep(session, blobs, prepared),
-        "source_sha256": _keep(session, blobs, canonical_zip(source)),
-        "image_list_sha256": _keep(session, blobs, msgspec.json.encode(ground_truth.image_list())),
-    }
-    if phase.ground_truth is not None and phase.ground_truth.sha256 == digests["sha256"]:
+    if phase.ground_truth is not None and phase.ground_truth.sha256 == prepared.sha256:
         message = f"this is version {phase.ground_truth.version}, which is in force already; nothing was imported"
         raise Conflict(message)
+    for sha256, size_bytes in prepared.sizes_bytes.items():
+        record_blob(session, blobs, sha256, size_bytes)
     latest = session.scalar(
         sa.select(sa.func.max(GroundTruthVersion.version)).where(GroundTruthVersion.phase_id == phase.id)
     )
     version = GroundTruthVersion(
         phase_id=phase.id,
         version=(latest or 0) + 1,
-        **digests,
-        image_count=len(ground_truth.images),
-        box_count=len(ground_truth),
+        sha256=prepared.sha256,
+        source_sha256=prepared.source_sha256,
+        image_list_sha256=prepared.image_list_sha256,
+        image_count=prepared.image_count,
+        box_count=prepared.box_count,
         imported_by=imported_by,
         created_at=database.now(session),
     )
@@ -185,8 +233,33 @@ def import_ground_truth(
         version=version.version,
         sha256=version.sha256,
     )
-    if not _published_without_score(session, phase, version):
+    return version
+
+
+def enforce_if_possible(session: Session, phase: Phase, version: GroundTruthVersion, *, actor: str) -> bool:
+    """Let a version rank at once where nothing is published in the phase; otherwise a re-scoring does.
+
+    Returns:
+        True when it is in force.
+    """
+    possible = not _is_rescored(session, phase) and not _published_without_score(session, phase, version)
+    if possible:
         enforce_ground_truth(session, phase, version, actor=actor)
+    return possible
+
+
+def import_ground_truth(
+    session: Session, blobs: Blobs, *, phase: Phase, source: Path, actor: str
+) -> GroundTruthVersion:
+    """Prepare ground truth, add it and let it rank if possible, all in one transaction: for phases being set up.
+
+    Raises:
+        GroundTruthError: It cannot be used; every problem is listed.
+        Conflict: The version in force is the same.
+    """
+    prepared = prepare_ground_truth(blobs, source)
+    version = add_ground_truth(session, blobs, phase=phase, prepared=prepared, actor=actor)
+    enforce_if_possible(session, phase, version, actor=actor)
     return version
 
 
@@ -197,7 +270,9 @@ def enforce_ground_truth(session: Session, phase: Phase, version: GroundTruthVer
         Conflict: A published submission has no score on it.
     """
     if missing := _published_without_score(session, phase, version):
-        message = f"{missing} published submissions have no score on version {version.version}; score them first"
+        message = (
+            f"{missing} published submissions have no score on version {version.version}; `cs3d-admin rescore` them"
+        )
         raise Conflict(message)
     phase.ground_truth = version
     audit.record(
@@ -227,11 +302,10 @@ def _published_without_score(session: Session, phase: Phase, version: GroundTrut
     return session.scalar(query) or 0
 
 
-def _keep(session: Session, blobs: Blobs, data: bytes) -> str:
-    """Put `data` into the store and make it known to the record."""
-    sha256 = blobs.put_bytes(data)
-    record_blob(session, blobs, sha256, len(data))
-    return sha256
+def _is_rescored(session: Session, phase: Phase) -> bool:
+    """Say whether a re-scoring of the phase runs: what it was begun to replace must stay in force."""
+    running = sa.select(Rescoring.id).where(Rescoring.phase_id == phase.id, Rescoring.state == RescoringState.RUNNING)
+    return session.scalar(running) is not None
 
 
 def canonical_zip(source: Path) -> bytes:

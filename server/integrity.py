@@ -24,15 +24,17 @@ def keep(session: Session, submission: Submission, score: Score, findings: Integ
     reasons = [*findings.reasons, *([COPIED] if twin else [])]
     if not reasons:
         return
-    submission.held_reason = " ".join(reasons)
+    # For the maintainers, who alone read the trail: whose work it resembles is not the team's to know.
+    hold(session, submission, " ".join(reasons), actor="integrity", resembles=str(twin) if twin else None)
+
+
+def hold(session: Session, submission: Submission, reason: str, *, actor: str, **detail: str | None) -> None:
+    """Keep a submission that is not published from being published until a maintainer releases it."""
+    submission.held_reason = reason
+    submission.version += 1
+    session.flush()
     audit.record(
-        session,
-        actor="integrity",
-        action="submission.held",
-        subject=audit.subject_of(submission),
-        reasons=reasons,
-        # For the maintainers, who alone read the trail: whose work it resembles is not the team's to know.
-        resembles=str(twin) if twin else None,
+        session, actor=actor, action="submission.held", subject=audit.subject_of(submission), reason=reason, **detail
     )
 
 

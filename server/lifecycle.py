@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 from server import audit, database, integrity, quota, ranking
 from server.claims import Claim, Result
 from server.errors import IllegalTransition, LeaseLost
-from server.models import Attempt, AttemptOutcome, Score, ScoreReplicates, Submission, SubmissionState
+from server.models import Attempt, AttemptOutcome, Phase, Score, ScoreReplicates, Submission, SubmissionState
 
 RECEIVED, QUEUED, SCORING = SubmissionState.RECEIVED, SubmissionState.QUEUED, SubmissionState.SCORING
 SCORED, REJECTED = SubmissionState.SCORED, SubmissionState.REJECTED
@@ -124,19 +124,46 @@ def validated(session: Session, held: Claim, *, report_sha256: str) -> None:
         _move(session, submission, SCORING, actor=held.actor)
 
 
-def record_score(session: Session, held: Claim, result: Result) -> Score:
+def record_score(session: Session, held: Claim, result: Result) -> Score | None:
     """Write the score, the state, the quota entry and the audit event: all of them or none.
+
+    Returns:
+        None when another protocol or ground truth came in force since the claim: a score under the old one would rank
+        nowhere, so the submission waits again, without a lost attempt.
 
     Raises:
         LeaseLost: The submission was taken back; its score comes from another attempt.
     """
+    phase = session.scalar(
+        sa.select(Phase)
+        .join(Submission, Submission.phase_id == Phase.id)
+        .where(Submission.id == held.submission_id)
+        .with_for_update(read=True, of=Phase)
+        .execution_options(populate_existing=True)
+    )
     submission = _lock_held(session, held)
-    protocol = result.scores.signature.protocol
-    score = Score(
-        submission_id=submission.id,
-        protocol=protocol.name,
-        protocol_version=protocol.version,
-        evaluator_version=result.scores.signature.evaluator_version,
+    if phase is None or (phase.protocol, phase.ground_truth_id) != (held.protocol, held.ground_truth_id):
+        _end_attempt(session, submission, AttemptOutcome.RETURNED, "other scores came in force meanwhile")
+        _wait_again(session, submission, actor=held.actor)
+        return None
+    score = new_score(session, held, result)
+    integrity.keep(session, submission, score, result.integrity)
+    session.add(score)
+    session.flush()
+    _end_attempt(session, submission, AttemptOutcome.SCORED)
+    _move(session, submission, SCORED, actor=held.actor, lease_kept=False, mds=result.scores.mds)
+    quota.charge(session, submission)
+    return score
+
+
+def new_score(session: Session, held: Claim, result: Result) -> Score:
+    """Make the row of what an attempt brought back."""
+    signature = result.scores.signature
+    return Score(
+        submission_id=held.submission_id,
+        protocol=signature.protocol.name,
+        protocol_version=signature.protocol.version,
+        evaluator_version=signature.evaluator_version,
         ground_truth_id=held.ground_truth_id,
         attempt=held.attempt,
         mds=result.scores.mds,
@@ -146,13 +173,6 @@ def record_score(session: Session, held: Claim, result: Result) -> Score:
         replicates=None if result.replicates is None else ScoreReplicates(data=result.replicates),
         created_at=database.now(session),
     )
-    integrity.keep(session, submission, score, result.integrity)
-    session.add(score)
-    session.flush()
-    _end_attempt(session, submission, AttemptOutcome.SCORED)
-    _move(session, submission, SCORED, actor=held.actor, lease_kept=False, mds=result.scores.mds)
-    quota.charge(session, submission)
-    return score
 
 
 def reject(session: Session, held: Claim, *, report_sha256: str) -> None:

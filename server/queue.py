@@ -18,6 +18,7 @@ log = structlog.get_logger(__name__)
 
 EVALUATE_TASK = "cs3d.evaluate"
 SWEEP_TASK = "cs3d.sweep"
+RESCORE_TASK = "cs3d.rescore"
 QUEUE_NAME = "cs3d"
 
 PRIORITY_URGENT = 0
@@ -104,17 +105,29 @@ class Queue:
         Returns:
             False when the broker did not take the message; the sweeper then sends it again.
         """
+        return self._send(EVALUATE_TASK, str(submission_id), priority)
+
+    def enqueue_item(self, item_id: int) -> bool:
+        """Tell the workers that an item of a re-scoring waits, behind every submission that a team waits for.
+
+        Returns:
+            False when the broker did not take the message; the sweeper then sends it again.
+        """
+        return self._send(RESCORE_TASK, item_id, PRIORITY_BULK)
+
+    def _send(self, task: str, argument: str | int, priority: int) -> bool:
         try:
-            self._app.send_task(EVALUATE_TASK, args=[str(submission_id)], priority=priority)
+            self._app.send_task(task, args=[argument], priority=priority)
         # RuntimeError: kombu's pool was closed, here or by another user of it in this process.
         except (OperationalError, RedisError, OSError, RuntimeError) as error:
-            log.warning("enqueue_failed", submission_id=str(submission_id), error=repr(error))
+            log.warning("enqueue_failed", task=task, argument=argument, error=repr(error))
             return False
         return True
 
-    def depth(self) -> int | None:
-        """Count the messages that wait, over all priorities; None when the broker does not answer."""
-        keys = [QUEUE_NAME if step == 0 else f"{QUEUE_NAME}{PRIORITY_SEPARATOR}{step}" for step in PRIORITY_STEPS]
+    def depth(self, *priorities: int) -> int | None:
+        """Count the messages that wait, by default over all priorities; None when the broker does not answer."""
+        steps = priorities or PRIORITY_STEPS
+        keys = [QUEUE_NAME if step == 0 else f"{QUEUE_NAME}{PRIORITY_SEPARATOR}{step}" for step in steps]
         try:
             with self._app.connection_for_write() as connection:
                 client = connection.default_channel.client

@@ -2,18 +2,56 @@
 
 Equal mDS share a rank and the next rank is skipped (1, 2, 2, 4). An undefined mDS has no rank and stands last. Within
 equal mDS the earliest submission stands first.
+
+What ranks is a basis: a protocol, an evaluator version and a version of the ground truth. A phase has one in force; a
+re-scoring prepares another beside it (server/rescoring.py).
 """
 
 import uuid
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import sqlalchemy as sa
-from sqlalchemy.orm import Session, defer, joinedload
+from sqlalchemy.orm import Session, defer, joinedload, object_session
 
 from evaluator.results import Scores
-from server.models import Method, Phase, Publication, Score, Submission, SubmissionState, Team
+from server.models import (
+    Method,
+    Phase,
+    Publication,
+    Rescoring,
+    RescoringItem,
+    RescoringState,
+    Score,
+    Submission,
+    SubmissionState,
+    Team,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Basis:
+    """What scores are computed under."""
+
+    protocol: str
+    evaluator_version: str
+    ground_truth_id: int | None
+    """None: the phase has none yet."""
+
+    @classmethod
+    def of(cls, row: Phase | Rescoring | Score) -> "Basis":
+        """Give the basis in force in a phase, the one a re-scoring prepares, or a score's own."""
+        return cls(protocol=row.protocol, evaluator_version=row.evaluator_version, ground_truth_id=row.ground_truth_id)
+
+    def fits(self) -> sa.ColumnElement[bool]:
+        """Match the scores that are wholly on this basis."""
+        return sa.and_(self.may_rank(), Score.evaluator_version == self.evaluator_version)
+
+    def may_rank(self) -> sa.ColumnElement[bool]:
+        """Match the scores that may rank on this basis: another evaluator version is better than no score."""
+        return sa.and_(Score.protocol == self.protocol, Score.ground_truth_id == self.ground_truth_id)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,9 +79,14 @@ class Leaderboard:
 
 def leaderboard(session: Session, phase: Phase) -> Leaderboard:
     """Rank the published submissions of a phase; no submissions, no rows."""
-    scores = sorted(ranking_scores(session, phase).values(), key=_display_order)
-    ranks = shared_ranks([score.mds for score in scores])
-    rows = tuple(
+    return Leaderboard(phase=phase, rows=ranked(ranking_scores(session, phase).values()))
+
+
+def ranked(scores: Iterable[Score]) -> tuple[LeaderboardRow, ...]:
+    """Rank scores, one of each submission."""
+    ordered = sorted(scores, key=_display_order)
+    ranks = shared_ranks([score.mds for score in ordered])
+    return tuple(
         LeaderboardRow(
             rank=rank,
             submission=score.submission,
@@ -53,13 +96,24 @@ def leaderboard(session: Session, phase: Phase) -> Leaderboard:
             mds=score.mds,
             summary=score.summary,
         )
-        for rank, score in zip(ranks, scores, strict=True)
+        for rank, score in zip(ranks, ordered, strict=True)
     )
-    return Leaderboard(phase=phase, rows=rows)
 
 
 def ranking_scores(session: Session, phase: Phase) -> dict[uuid.UUID, Score]:
-    """Find the score that ranks for every published submission: the newest under the phase's protocol and ground truth."""
+    """Find the score that ranks for every published submission.
+
+    That is the one on the basis in force; where the evaluator version in force made none, the newest by another.
+    """
+    basis = Basis.of(phase)
+    in_force = sa.case((Score.evaluator_version == basis.evaluator_version, 1), else_=0)
+    return published_scores(session, phase, basis.may_rank(), in_force, Score.id)
+
+
+def published_scores(
+    session: Session, phase: Phase, condition: sa.ColumnElement[bool], *order: sa.SQLColumnExpression[Any]
+) -> dict[uuid.UUID, Score]:
+    """Find the last score, in the given order, of every published submission that has one under a condition."""
     query = (
         sa.select(Score)
         .join(Score.submission)
@@ -67,28 +121,49 @@ def ranking_scores(session: Session, phase: Phase) -> dict[uuid.UUID, Score]:
             Submission.phase_id == phase.id,
             Submission.publication == Publication.PUBLISHED,
             Submission.state == SubmissionState.SCORED,
-            Score.protocol == phase.protocol,
-            Score.ground_truth_id == phase.ground_truth_id,
+            condition,
         )
         .options(
             joinedload(Score.submission).joinedload(Submission.method),
             joinedload(Score.submission).joinedload(Submission.team),
             defer(Score.integrity),
         )
-        .order_by(Score.id)
+        .order_by(*order)
     )
     return {score.submission_id: score for score in session.scalars(query)}
 
 
 def ranking_score(submission: Submission) -> Score | None:
-    """Find the score a submission is shown with: the newest under its phase's protocol and ground truth in force."""
-    phase = submission.phase
+    """Find the score a submission is shown with: the one that ranks, else the newest that was ever in force."""
+    basis = Basis.of(submission.phase)
     fitting = [
         score
         for score in submission.scores
-        if score.protocol == phase.protocol and score.ground_truth_id == phase.ground_truth_id
+        if (score.protocol, score.ground_truth_id) == (basis.protocol, basis.ground_truth_id)
     ]
-    return max(fitting or submission.scores, key=lambda score: score.id, default=None)
+    if fitting:
+        return max(fitting, key=lambda score: (score.evaluator_version == basis.evaluator_version, score.id))
+    return max(history(submission), key=lambda score: score.id, default=None)
+
+
+def history(submission: Submission) -> list[Score]:
+    """List the scores of a submission that are or were in force, oldest first.
+
+    What a re-scoring made is not among them until it is published: nobody sees half of a new ranking.
+    """
+    session = object_session(submission)
+    if session is None:
+        return []
+    query = sa.select(Score.id).where(Score.submission_id == submission.id, _was_in_force()).order_by(Score.id)
+    shown = set(session.scalars(query))
+    return [score for score in submission.scores if score.id in shown]
+
+
+def _was_in_force() -> sa.ColumnElement[bool]:
+    """Match scores that no re-scoring made, or that a published one brought into force."""
+    of_score = sa.select(RescoringItem.id).where(RescoringItem.score_id == Score.id)
+    published = of_score.join(RescoringItem.rescoring).where(Rescoring.state == RescoringState.PUBLISHED)
+    return sa.or_(~of_score.where(RescoringItem.attempt > 0).exists(), published.exists())
 
 
 def _display_order(score: Score) -> tuple[bool, float, float, str]:

@@ -5,11 +5,12 @@ import uuid
 import sqlalchemy as sa
 from sqlalchemy.orm import Session, joinedload, object_session
 
-from server import audit, database, lifecycle, quota
+from server import audit, database, integrity, lifecycle, quota
 from server.accounts import checked_slug, checked_text, is_member
 from server.blobs import Blobs, record_blob
 from server.errors import Conflict, Forbidden, Held, NotFound, NotScored, PhaseClosed
 from server.models import Method, Phase, Publication, Score, Submission, SubmissionState, Team, User
+from server.ranking import Basis
 
 
 def receive(
@@ -209,8 +210,7 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
         Forbidden: The phase does not allow it.
         Held: A maintainer must release it first.
     """
-    # Two submissions of one method published at once queue up at the team's row, so that the later one wins.
-    quota.lock_team(session, submission.team_id)
+    phase = _keep_in_force(session, submission)
     _lock(session, submission)
     if submission.state is not SubmissionState.SCORED:
         message = f"submission {submission.id} is {submission.state}; only a scored submission can be published"
@@ -218,7 +218,9 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     if not submission.phase.allows_publication:
         message = f"phase {submission.phase.slug} has no leaderboard; its scores stay with their team"
         raise Forbidden(message)
-    if submission.publication is not Publication.PUBLISHED and not _ranks(session, submission):
+    if submission.publication is Publication.PUBLISHED:
+        return
+    if not _ranks(session, submission, phase):
         message = (
             f"submission {submission.id} was scored on ground truth or by a protocol that does not rank any more; send"
             " the predictions again"
@@ -227,8 +229,8 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     if submission.held_reason is not None:
         message = f"a maintainer looks at this submission before it may be published: {submission.held_reason}"
         raise Held(message)
-    if submission.publication is Publication.PUBLISHED:
-        return
+    # Two submissions of one method published at once queue up at the team's row, so that the later one wins.
+    quota.lock_team(session, submission.team_id)
     shown = sa.select(Submission).where(
         Submission.phase_id == submission.phase_id,
         Submission.method_id == submission.method_id,
@@ -242,23 +244,32 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
 
 def withdraw(session: Session, submission: Submission, actor: str) -> None:
     """Take a published submission off the leaderboard; nothing happens when it is not published."""
-    quota.lock_team(session, submission.team_id)
     _lock(session, submission)
     if submission.publication is Publication.PUBLISHED:
         _set_publication(session, submission, Publication.WITHDRAWN, actor)
 
 
-def _ranks(session: Session, submission: Submission) -> bool:
+def hold(session: Session, submission: Submission, *, reason: str, actor: str) -> None:
+    """Take a submission off the leaderboard and keep it off until a maintainer releases it.
+
+    Raises:
+        InvalidField: No reason is given.
+    """
+    withdraw(session, submission, actor)
+    integrity.hold(session, submission, checked_text("reason", reason, max_length=1000), actor=actor)
+
+
+def _keep_in_force(session: Session, submission: Submission) -> Phase:
+    """Lock the submission's phase so that what ranks stays what it is; others may do the same meanwhile."""
+    return session.get_one(Phase, submission.phase_id, with_for_update={"read": True}, populate_existing=True)
+
+
+def _ranks(session: Session, submission: Submission, phase: Phase) -> bool:
     """Say whether the submission has a score by its phase's protocol on the ground truth in force.
 
-    It has none when other ground truth was put in force while it was scored, or since: published, it would be nowhere.
+    It has none when other ground truth was put in force since it was scored: published, it would be nowhere.
     """
-    phase = session.get_one(Phase, submission.phase_id, with_for_update={"read": True}, populate_existing=True)
-    fitting = sa.select(Score.id).where(
-        Score.submission_id == submission.id,
-        Score.protocol == phase.protocol,
-        Score.ground_truth_id == phase.ground_truth_id,
-    )
+    fitting = sa.select(Score.id).where(Score.submission_id == submission.id, Basis.of(phase).may_rank())
     return session.scalar(fitting.limit(1)) is not None
 
 

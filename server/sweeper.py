@@ -17,8 +17,9 @@ import sqlalchemy as sa
 import structlog
 from sqlalchemy.orm import Session
 
-from server import blobs, database, lifecycle, mail
+from server import blobs, database, lifecycle, mail, rescoring_sweeper
 from server.models import Submission, SubmissionState
+from server.queue import PRIORITY_NORMAL, PRIORITY_URGENT
 from server.services import Services
 
 log = structlog.get_logger(__name__)
@@ -43,7 +44,8 @@ def sweep(services: Services) -> Sweep:
     for submission_id in failed:
         mail.tell_of_failure(services, submission_id)
     taken_back = sum(state is not None for state in states) - len(failed)
-    done = Sweep(taken_back=taken_back, failed=len(failed), sent=_send_again(services))
+    sent = _send_again(services) + rescoring_sweeper.sweep(services)
+    done = Sweep(taken_back=taken_back, failed=len(failed), sent=sent)
     if held or done.sent:
         log.info("swept", taken_back=done.taken_back, failed=done.failed, sent=done.sent)
     return done
@@ -65,7 +67,8 @@ def _send_again(services: Services) -> int:
         unsent = _waiting(session, Submission.enqueued_at.is_(None))
         overdue = _waiting(session, Submission.enqueued_at < deadline)
         waiting = _waiting(session, sa.true())
-    depth = services.queue.depth() if unsent or overdue else None
+    # The bulk messages of a re-scoring are not theirs.
+    depth = services.queue.depth(PRIORITY_URGENT, PRIORITY_NORMAL) if unsent or overdue else None
     if depth is None:
         return 0
     due = unsent + (overdue if depth < len(waiting) else [])

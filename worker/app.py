@@ -1,7 +1,7 @@
 """The Celery application: `celery -A worker.app worker` on any machine with the same settings.
 
-Two tasks: `cs3d.evaluate` (one argument, the submission's id) and `cs3d.sweep`. Every worker also sweeps by itself, so
-recovery needs no scheduler; a scheduler (`celery -A worker.app beat`) is for installations whose workers come and go.
+Tasks: `cs3d.evaluate` (a submission's id), `cs3d.rescore` (an item of a re-scoring) and `cs3d.sweep`. Every worker also sweeps by itself, so recovery needs no
+scheduler; a scheduler (`celery -A worker.app beat`) is for installations whose workers come and go.
 SIGTERM drains: running submissions are finished, no new ones are taken.
 """
 
@@ -17,11 +17,12 @@ from celery import signals
 
 from server import sweeper
 from server.errors import ServerError
-from server.queue import EVALUATE_TASK, SWEEP_TASK, celery_app
+from server.queue import EVALUATE_TASK, RESCORE_TASK, SWEEP_TASK, celery_app
 from server.services import Services
 from server.settings import Settings
 from worker import acknowledging
 from worker.evaluation import evaluate_submission
+from worker.rescoring import evaluate_item
 from worker.sandbox import Sandbox
 
 log = structlog.get_logger(__name__)
@@ -59,6 +60,13 @@ def evaluate(submission_id: str) -> None:
     """Validate and score a submission, if that is what it waits for."""
     this = _process(os.getpid())
     evaluate_submission(this.services, this.sandbox, uuid.UUID(submission_id), worker=this.name)
+
+
+@app.task(name=RESCORE_TASK)
+def rescore(item_id: int) -> None:
+    """Score a submission again, if that is what an item of a re-scoring waits for."""
+    this = _process(os.getpid())
+    evaluate_item(this.services, this.sandbox, item_id, worker=this.name)
 
 
 @app.task(name=SWEEP_TASK)

@@ -95,10 +95,11 @@ def import_ground_truth(args: argparse.Namespace, services: Services) -> Outcome
     if not args.source.exists():
         message = f"{args.source} does not exist; give a folder or a zip"
         raise UsageError(message)
+    prepared = record.prepare_ground_truth(services.blobs, args.source)
     with services.transaction() as session:
         phase = record.find_phase(session, args.benchmark, args.phase)
-        version = record.import_ground_truth(session, services.blobs, phase=phase, source=args.source, actor=actor())
-        in_force = phase.ground_truth_id == version.id
+        version = record.add_ground_truth(session, services.blobs, phase=phase, prepared=prepared, actor=actor())
+        in_force = record.enforce_if_possible(session, phase, version, actor=actor())
         data = {
             "benchmark": args.benchmark,
             "phase": args.phase,
@@ -108,8 +109,9 @@ def import_ground_truth(args: argparse.Namespace, services: Services) -> Outcome
             "boxes": version.box_count,
             "in_force": in_force,
         }
-    standing = "in force" if in_force else "not in force: published submissions have no score on it yet"
-    text = f"Imported version {version.version}: {version.image_count} images, {version.box_count} boxes; {standing}."
+    place = f"{args.benchmark} {args.phase} --version {data['version']}"
+    standing = "in force" if in_force else f"not in force yet. Next: cs3d-admin rescore start {place}"
+    text = f"Imported version {version.version}: {version.image_count} images, {version.box_count} boxes; {standing}"
     return Outcome(data=data, text=text)
 
 

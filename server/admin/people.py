@@ -6,7 +6,7 @@ import sys
 from datetime import UTC, datetime, timedelta
 
 from server import accounts
-from server.admin.command import Outcome, Subparsers, actor, add
+from server.admin.command import Outcome, Subparsers, actor, add, table
 from server.services import Services
 
 
@@ -29,11 +29,18 @@ def add_commands(subparsers: Subparsers) -> None:
     member = add(subparsers, "add-member", add_member)
     member.add_argument("team")
     member.add_argument("email")
+    removed = add(subparsers, "remove-member", remove_member)
+    removed.add_argument("team")
+    removed.add_argument("email")
     token = add(subparsers, "create-token", create_token)
     token.add_argument("email", help="who it acts for")
     token.add_argument("team", help="for which of that user's teams")
     token.add_argument("--name", default="cs3d-admin", help="what it is for")
     token.add_argument("--days", type=int, metavar="N", help="ends after N days (default: never)")
+    listed = add(subparsers, "list-tokens", list_tokens)
+    listed.add_argument("email")
+    revoked = add(subparsers, "revoke-token", revoke_token)
+    revoked.add_argument("token", type=int, metavar="ID", help="as list-tokens shows it")
 
 
 def create_user(args: argparse.Namespace, services: Services) -> Outcome:
@@ -96,6 +103,14 @@ def add_member(args: argparse.Namespace, services: Services) -> Outcome:
     return Outcome(data=data, text=f"{args.email} is in team {args.team}.")
 
 
+def remove_member(args: argparse.Namespace, services: Services) -> Outcome:
+    """Take a user out of a team; what was sent for it stays, tokens for it no longer work."""
+    with services.transaction() as session:
+        team, user = accounts.find_team(session, args.team), accounts.find_user(session, args.email)
+        accounts.remove_member(session, team, user, actor=actor())
+    return Outcome(data={"team": args.team, "email": args.email}, text=f"{args.email} is not in team {args.team} now.")
+
+
 def create_token(args: argparse.Namespace, services: Services) -> Outcome:
     """Create an API token of a user for a team; it is shown once."""
     expires_at = datetime.now(UTC) + timedelta(days=args.days) if args.days is not None else None
@@ -110,3 +125,29 @@ def create_token(args: argparse.Namespace, services: Services) -> Outcome:
         )
         data = {"id": token.id, "token": secret, "expires_at": expires_at.isoformat() if expires_at else None}
     return Outcome(data=data, text=f"Token, shown only now: {secret}")
+
+
+def list_tokens(args: argparse.Namespace, services: Services) -> Outcome:
+    """List a user's API tokens that were not revoked; their secrets are not kept."""
+    columns = ("id", "team", "name", "created", "expires")
+    with services.snapshot() as session:
+        user = accounts.find_user(session, args.email)
+        rows = [
+            [token.id, token.team.slug, token.name, _day(token.created_at), _day(token.expires_at)]
+            for token in accounts.tokens_of(session, user)
+        ]
+    data = {"tokens": [dict(zip(columns, row, strict=True)) for row in rows]}
+    return Outcome(data=data, tables=[table(*columns, rows=rows)] if rows else [], text="" if rows else "No tokens.")
+
+
+def _day(time: datetime | None) -> str:
+    return time.date().isoformat() if time else "never"
+
+
+def revoke_token(args: argparse.Namespace, services: Services) -> Outcome:
+    """End an API token."""
+    with services.transaction() as session:
+        token = accounts.find_token(session, args.token)
+        accounts.revoke_token(session, token, actor=actor())
+        data = {"id": token.id, "email": token.user.email, "team": token.team.slug}
+    return Outcome(data=data, text=f"Token {args.token} of {data['email']} no longer works.")

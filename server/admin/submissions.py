@@ -23,6 +23,9 @@ def add_commands(subparsers: Subparsers) -> None:
     published = add(subparsers, "publish", publish)
     published.add_argument("submission", metavar="SUBMISSION")
     published.add_argument("--withdraw", action="store_true", help="take it off the leaderboard instead")
+    held = add(subparsers, "hold", hold)
+    held.add_argument("submission", metavar="SUBMISSION")
+    held.add_argument("--reason", required=True, help="shown to its team")
     released = add(subparsers, "release", release)
     released.add_argument("submission", metavar="SUBMISSION")
     add(subparsers, "status", status)
@@ -57,6 +60,13 @@ def publish(args: argparse.Namespace, services: Services) -> Outcome:
         data={"submission": args.submission, "publication": publication},
         text=f"Submission {args.submission} is {publication}.",
     )
+
+
+def hold(args: argparse.Namespace, services: Services) -> Outcome:
+    """Take a submission off the leaderboard and keep it off until it is released."""
+    with services.transaction() as session:
+        record.hold(session, record.find(session, args.submission), reason=args.reason, actor=actor())
+    return Outcome(data={"submission": args.submission, "held": args.reason}, text=f"Held {args.submission}.")
 
 
 def release(args: argparse.Namespace, services: Services) -> Outcome:

@@ -67,7 +67,7 @@ class LoginSession:
     user_id: int | None
     csrf: str
     fingerprint: str = ""
-    """Of the password hash: changing the password ends every session."""
+    """Of the password hash and the version of the user's sessions: changing either ends every session."""
 
 
 def credentials_of(request: Request) -> Credentials:
@@ -192,4 +192,4 @@ def check_csrf(login: LoginSession | None, given: str | None) -> None:
 
 
 def _fingerprint(user: User) -> str:
-    return hashlib.sha256((user.password_hash or "").encode()).hexdigest()[:16]
+    return hashlib.sha256(f"{user.session_version}:{user.password_hash or ''}".encode()).hexdigest()[:16]

@@ -4,7 +4,6 @@ from datetime import timedelta
 from typing import Annotated
 
 from fastapi import APIRouter, Path
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 from starlette.responses import Response
 
@@ -49,8 +48,12 @@ def log_in(visit: VisitDependency, fields: FieldsDependency) -> Response:
 
 @router.post("/logout")
 def log_out(visit: VisitDependency, fields: FieldsDependency) -> Response:
-    """End the session."""
+    """End the session and every other one of this user: a cookie that somebody copied ends with them."""
     visit.check_form(fields)
+    with visit.web.services.transaction() as session:
+        user = visit.web.identities.user_of(session, visit.login)
+        if user is not None:
+            accounts.end_sessions(session, user, actor=Identity(user, None).actor)
     response = see_other("/")
     visit.web.identities.set_cookie(visit.request, response, visit.web.identities.new_login(None))
     return response
@@ -111,10 +114,9 @@ def _login_form(visit: Visit, *, next_: str, email: str = "", error: str = "", s
 
 
 def _account(session: Session, user: User) -> Context:
-    query = select(Token).where(Token.user_id == user.id, Token.revoked_at.is_(None)).order_by(Token.id.desc())
     return {
         "teams": accounts.teams_of(session, user),
-        "tokens": list(session.scalars(query)),
+        "tokens": accounts.tokens_of(session, user),
         "days": TOKEN_DAYS,
         "secret": None,
         "now": database.now(session),

@@ -1,0 +1,378 @@
+"""Re-scoring a phase: every scored submission again, beside what ranks, and then in force all at once.
+
+A re-scoring prepares another basis (protocol, evaluator version, ground truth) for a phase. Each scored submission gets
+one item (server/rescoring_items.py), also those that are scored while it runs. Until `publish` the old basis ranks and
+takes submissions; `publish` changes the phase's row in one transaction, so whoever reads a leaderboard sees the old
+ranking or the new one, whole.
+
+Locks are taken in the order that docs/architecture.md names: phase, re-scoring, items, submissions.
+"""
+
+import uuid
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from evaluator.protocol import EVALUATOR_VERSION, PROTOCOLS
+from server import audit, database, submissions
+from server.errors import Conflict, InvalidField, NotFound
+from server.models import (
+    GroundTruthVersion,
+    ItemState,
+    Phase,
+    Publication,
+    Rescoring,
+    RescoringItem,
+    RescoringState,
+    Score,
+    Submission,
+    SubmissionState,
+)
+from server.ranking import Basis
+from server.rescoring_items import DONE, EXCLUDED, FAILED, WAITING
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """How far a re-scoring is."""
+
+    counts: dict[ItemState, int]
+    failures: tuple[RescoringItem, ...]
+    uncovered: int
+    """Scored submissions that have no item yet; the sweeper adds them."""
+
+    @property
+    def total(self) -> int:
+        """Count the submissions it is about."""
+        return sum(self.counts.values()) + self.uncovered
+
+    @property
+    def settled(self) -> int:
+        """Count those that have their score or are excluded."""
+        return self.counts[DONE] + self.counts[EXCLUDED]
+
+    @property
+    def complete(self) -> bool:
+        """Say whether it can be published."""
+        return self.settled == self.total
+
+
+def start(
+    session: Session, *, phase: Phase, actor: str, version: int | None = None, protocol: str | None = None
+) -> Rescoring:
+    """Begin to score a phase's submissions again. After the commit, send what is `waiting`.
+
+    Args:
+        session: Of the transaction.
+        phase: The phase.
+        actor: Who begins it, for the audit trail.
+        version: Of the ground truth, imported before; by default the one in force.
+        protocol: By default the one in force.
+
+    Raises:
+        NotFound: There is no such version.
+        InvalidField: There is no such protocol.
+        Conflict: The phase has no ground truth or is being scored again already, or there is nothing to score.
+    """
+    lock_phase(session, phase)
+    if find_running(session, phase) is not None:
+        message = f"phase {phase.slug} is being scored again already; publish or discard that first"
+        raise Conflict(message)
+    if protocol is not None and protocol not in PROTOCOLS:
+        message = f"there is no protocol {protocol!r}; choose one of {', '.join(PROTOCOLS)}"
+        raise InvalidField(message)
+    rescoring = Rescoring(
+        phase_id=phase.id,
+        ground_truth_id=_ground_truth(session, phase, version).id,
+        protocol=protocol or phase.protocol,
+        evaluator_version=EVALUATOR_VERSION,
+        created_at=database.now(session),
+    )
+    session.add(rescoring)
+    session.flush()
+    cover(session, rescoring)
+    basis = Basis.of(rescoring)
+    if basis == Basis.of(phase) and not waiting(session, rescoring):
+        message = (
+            "every submission has its score by this protocol and evaluator on this ground truth; nothing was begun"
+        )
+        raise Conflict(message)
+    _record(session, rescoring, "started", actor, basis=describe(session, basis))
+    return rescoring
+
+
+def lock_phase(session: Session, phase: Phase) -> None:
+    """Let nobody else change what is in force, and let no score be written that counts on it, until the end."""
+    query = sa.select(Phase).where(Phase.id == phase.id).with_for_update(key_share=True)
+    session.scalar(query.execution_options(populate_existing=True))
+
+
+def _ground_truth(session: Session, phase: Phase, version: int | None) -> GroundTruthVersion:
+    if version is None:
+        if phase.ground_truth is None:
+            message = f"phase {phase.slug} has no ground truth yet; import it with `cs3d-admin import-ground-truth`"
+            raise Conflict(message)
+        return phase.ground_truth
+    found = session.scalar(
+        sa.select(GroundTruthVersion).where(
+            GroundTruthVersion.phase_id == phase.id, GroundTruthVersion.version == version
+        )
+    )
+    if found is None:
+        message = f"phase {phase.slug} has no version {version} of ground truth; import it first"
+        raise NotFound(message)
+    return found
+
+
+def find_running(session: Session, phase: Phase) -> Rescoring | None:
+    """Find the re-scoring of a phase that has not ended."""
+    return session.scalar(
+        sa.select(Rescoring).where(Rescoring.phase_id == phase.id, Rescoring.state == RescoringState.RUNNING)
+    )
+
+
+def get_running(session: Session, phase: Phase) -> Rescoring:
+    """Find the re-scoring of a phase that has not ended.
+
+    Raises:
+        NotFound: There is none.
+    """
+    rescoring = find_running(session, phase)
+    if rescoring is None:
+        message = f"phase {phase.slug} is not being scored again; begin with `cs3d-admin rescore start`"
+        raise NotFound(message)
+    return rescoring
+
+
+def uncovered(session: Session, rescoring: Rescoring) -> list[uuid.UUID]:
+    """List the scored submissions of the phase that have no item yet, oldest first."""
+    has_item = sa.exists().where(
+        RescoringItem.rescoring_id == rescoring.id, RescoringItem.submission_id == Submission.id
+    )
+    query = sa.select(Submission.id).where(
+        Submission.phase_id == rescoring.phase_id, Submission.state == SubmissionState.SCORED, ~has_item
+    )
+    return list(session.scalars(query.order_by(Submission.created_at, Submission.id)))
+
+
+def cover(session: Session, rescoring: Rescoring, *, sent: bool = True) -> list[int]:
+    """Add an item for every scored submission without one; what has its score on the new basis already is done.
+
+    Args:
+        session: Of the transaction.
+        rescoring: Nothing happens when it has ended.
+        sent: The caller sends the items after the commit; False leaves that to the sweeper.
+
+    Returns:
+        The new items that wait for a worker.
+    """
+    still_running = sa.select(Rescoring.id).where(
+        Rescoring.id == rescoring.id, Rescoring.state == RescoringState.RUNNING
+    )
+    missing = uncovered(session, rescoring) if session.scalar(still_running.with_for_update()) else []
+    fitting = sa.select(Score.submission_id, sa.func.max(Score.id)).where(
+        Basis.of(rescoring).fits(), Score.submission_id.in_(missing)
+    )
+    known = dict(session.execute(fitting.group_by(Score.submission_id)).all()) if missing else {}
+    enqueued_at = database.now(session) if sent else None
+    items = [_item(rescoring, submission_id, known.get(submission_id)) for submission_id in missing]
+    for item in items:
+        item.enqueued_at = enqueued_at
+    session.add_all(items)
+    session.flush()
+    return [item.id for item in items if item.state is WAITING]
+
+
+def _item(rescoring: Rescoring, submission_id: uuid.UUID, score_id: int | None) -> RescoringItem:
+    state = WAITING if score_id is None else DONE
+    return RescoringItem(rescoring_id=rescoring.id, submission_id=submission_id, state=state, score_id=score_id)
+
+
+def waiting(session: Session, rescoring: Rescoring) -> list[int]:
+    """List the items that wait for a worker, oldest first."""
+    query = sa.select(RescoringItem.id).where(
+        RescoringItem.rescoring_id == rescoring.id, RescoringItem.state == WAITING
+    )
+    return list(session.scalars(query.order_by(RescoringItem.id)))
+
+
+def progress(session: Session, rescoring: Rescoring) -> Progress:
+    """Count a re-scoring's items by state, and name those that failed with their cause."""
+    own = RescoringItem.rescoring_id == rescoring.id
+    counted = sa.select(RescoringItem.state, sa.func.count()).where(own).group_by(RescoringItem.state)
+    counts = dict(session.execute(counted).all())
+    failures = session.scalars(sa.select(RescoringItem).where(own, RescoringItem.state == FAILED))
+    return Progress(
+        counts={state: counts.get(state, 0) for state in ItemState},
+        failures=tuple(failures),
+        uncovered=len(uncovered(session, rescoring)),
+    )
+
+
+def retry(session: Session, rescoring: Rescoring, actor: str, submission_id: uuid.UUID | None = None) -> list[int]:
+    """Let failed items wait again with all their attempts. After the commit, send them.
+
+    Args:
+        session: Of the transaction.
+        rescoring: A running one.
+        actor: Who says so, for the audit trail.
+        submission_id: This one alone, also when it is excluded; by default all that failed.
+
+    Returns:
+        The items that wait again.
+    """
+    states = (FAILED,) if submission_id is None else (FAILED, EXCLUDED)
+    query = sa.select(RescoringItem).where(RescoringItem.rescoring_id == rescoring.id, RescoringItem.state.in_(states))
+    if submission_id is not None:
+        query = query.where(RescoringItem.submission_id == submission_id)
+    items = list(session.scalars(query.order_by(RescoringItem.id).with_for_update()))
+    for item in items:
+        _wait_afresh(session, item)
+    _record(session, rescoring, "retried", actor, submissions=[str(item.submission_id) for item in items])
+    return [item.id for item in items]
+
+
+def _wait_afresh(session: Session, item: RescoringItem) -> None:
+    item.state, item.enqueued_at, item.lost_attempts = WAITING, database.now(session), 0
+    item.failure_code = item.failure_detail = item.exclusion_reason = None
+    session.flush()
+
+
+def exclude(session: Session, rescoring: Rescoring, submission_id: uuid.UUID, reason: str, actor: str) -> None:
+    """Let a submission go without a score on the new basis: once that is in force, it has no rank.
+
+    Raises:
+        NotFound: The re-scoring is not about it.
+        InvalidField: No reason is given.
+        Conflict: It has its score, or a worker holds it.
+    """
+    if not reason.strip():
+        raise InvalidField("reason: say why it shall not rank; its team reads it")
+    query = sa.select(RescoringItem).where(
+        RescoringItem.rescoring_id == rescoring.id, RescoringItem.submission_id == submission_id
+    )
+    item = session.scalar(query.with_for_update())
+    if item is None:
+        message = f"the re-scoring has no item for submission {submission_id}"
+        raise NotFound(message)
+    if item.state not in (WAITING, FAILED):
+        message = f"it is {item.state}; only what waits or failed can be excluded"
+        raise Conflict(message)
+    item.state, item.exclusion_reason = EXCLUDED, reason.strip()
+    item.failure_code = item.failure_detail = None
+    session.flush()
+    _record(session, rescoring, "excluded", actor, submission=str(submission_id), reason=reason.strip())
+
+
+def exclusion_reason(session: Session, submission: Submission) -> str | None:
+    """Say why a submission has no score on the basis in force, when a maintainer excluded it from there."""
+    basis = Basis.of(submission.phase)
+    query = (
+        sa.select(RescoringItem.exclusion_reason)
+        .join(RescoringItem.rescoring)
+        .where(
+            RescoringItem.submission_id == submission.id,
+            RescoringItem.state == EXCLUDED,
+            Rescoring.state == RescoringState.PUBLISHED,
+            Rescoring.protocol == basis.protocol,
+            Rescoring.ground_truth_id == basis.ground_truth_id,
+        )
+        .order_by(RescoringItem.id.desc())
+    )
+    return session.scalar(query.limit(1))
+
+
+def publish(session: Session, phase: Phase, actor: str, **detail: Any) -> Rescoring:  # noqa: ANN401 - JSON
+    """Put a complete re-scoring in force: the whole leaderboard ranks by it from this commit on.
+
+    Published submissions that are excluded from it are withdrawn in the same transaction.
+
+    Raises:
+        NotFound: There is none.
+        Conflict: A submission lacks its score.
+    """
+    lock_phase(session, phase)
+    rescoring = get_running(session, phase)
+    cover(session, rescoring, sent=False)
+    _require_complete(progress(session, rescoring))
+    old, new = Basis.of(phase), Basis.of(rescoring)
+    _withdraw_excluded(session, rescoring, actor)
+    phase.protocol, phase.evaluator_version = new.protocol, new.evaluator_version
+    phase.ground_truth = rescoring.ground_truth
+    # What a page shows of a submission may be another score now.
+    shown = sa.update(Submission).where(Submission.phase_id == phase.id, Submission.state == SubmissionState.SCORED)
+    session.execute(shown.values(version=Submission.version + 1))
+    _end(session, rescoring, RescoringState.PUBLISHED)
+    _record(session, rescoring, "published", actor, old=describe(session, old), new=describe(session, new), **detail)
+    return rescoring
+
+
+def _require_complete(state: Progress) -> None:
+    if state.complete:
+        return
+    failed = state.counts[FAILED]
+    message = f"{state.total - state.settled} of {state.total} submissions are not scored again yet"
+    if failed:
+        message += f"; {failed} failed: `cs3d-admin rescore retry` or `rescore exclude` them"
+    raise Conflict(message)
+
+
+def _withdraw_excluded(session: Session, rescoring: Rescoring, actor: str) -> None:
+    query = (
+        sa.select(Submission)
+        .join(RescoringItem, RescoringItem.submission_id == Submission.id)
+        .where(
+            RescoringItem.rescoring_id == rescoring.id,
+            RescoringItem.state == EXCLUDED,
+            Submission.publication == Publication.PUBLISHED,
+        )
+    )
+    for submission in session.scalars(query):
+        submissions.withdraw(session, submission, actor)
+
+
+def discard(session: Session, phase: Phase, actor: str) -> Rescoring:
+    """End a re-scoring without effect; its scores stay in the record and are shown to nobody.
+
+    Raises:
+        NotFound: There is none.
+    """
+    lock_phase(session, phase)
+    rescoring = get_running(session, phase)
+    _end(session, rescoring, RescoringState.DISCARDED)
+    held = sa.update(RescoringItem).where(
+        RescoringItem.rescoring_id == rescoring.id, RescoringItem.state == ItemState.RUNNING
+    )
+    session.execute(held.values(state=WAITING, lease_expires_at=None))
+    _record(session, rescoring, "discarded", actor)
+    return rescoring
+
+
+def _end(session: Session, rescoring: Rescoring, state: RescoringState) -> None:
+    session.scalar(sa.select(Rescoring.id).where(Rescoring.id == rescoring.id).with_for_update())
+    rescoring.state, rescoring.ended_at = state, database.now(session)
+    session.flush()
+
+
+def describe(session: Session, basis: Basis) -> dict[str, Any]:
+    """Write a basis down for the audit trail and for people."""
+    version = session.get(GroundTruthVersion, basis.ground_truth_id)
+    return {
+        "protocol": basis.protocol,
+        "evaluator_version": basis.evaluator_version,
+        "ground_truth_version": version.version if version else None,
+        "ground_truth_sha256": version.sha256 if version else None,
+    }
+
+
+def _record(session: Session, rescoring: Rescoring, what: str, actor: str, **detail: Any) -> None:  # noqa: ANN401
+    audit.record(
+        session,
+        actor=actor,
+        action=f"rescoring.{what}",
+        subject=f"phase:{rescoring.phase_id}",
+        rescoring=rescoring.id,
+        **detail,
+    )
