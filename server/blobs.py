@@ -22,7 +22,7 @@ from sqlalchemy.orm import Session
 
 from server import database, leftovers
 from server.errors import NotFound, StorageFull, Unavailable
-from server.models import Blob
+from server.models import Blob, Shard
 from server.settings import Settings
 
 CHUNK_BYTES = 1024 * 1024
@@ -347,6 +347,12 @@ def record_blob(session: Session, blobs: Blobs, sha256: str, size_bytes: int) ->
         raise Unavailable(message)
 
 
+def known_digests(session: Session) -> set[str]:
+    """Read the digests that rows keep: those of `Blob` and, while submissions are scored in shards, those of `Shard`."""
+    columns = (Blob.sha256, Shard.predictions_sha256, Shard.result_sha256)
+    return {sha256 for column in columns for sha256 in session.scalars(sa.select(column)) if sha256}
+
+
 def sweep_orphans(session: Session, blobs: Blobs, *, grace_s: float) -> int:
     """Delete blobs that no row knows and that nobody put again for `grace_s` seconds.
 
@@ -357,8 +363,8 @@ def sweep_orphans(session: Session, blobs: Blobs, *, grace_s: float) -> int:
     # Listed before the lock: a large bucket takes its time, and uploads must not wait for it.
     old = [blob.sha256 for blob in blobs.stored() if blob.modified_at.timestamp() < deadline]
     if session.get_bind().dialect.name == "postgresql":
-        session.execute(sa.text("LOCK TABLE blob IN SHARE ROW EXCLUSIVE MODE"))
-    known = set(session.scalars(sa.select(Blob.sha256)))
+        session.execute(sa.text("LOCK TABLE blob, shard IN SHARE ROW EXCLUSIVE MODE"))
+    known = known_digests(session)
     orphans = [sha256 for sha256 in old if sha256 not in known]
     for sha256 in orphans:
         blobs.delete(sha256)

@@ -23,7 +23,7 @@ from evaluator.intake import read_predictions
 from evaluator.protocol import EVALUATOR_VERSION, PROTOCOLS
 from evaluator.results import Scores
 from server import database, quota, ranking
-from server.blobs import digest_file
+from server.blobs import digest_file, known_digests
 from server.errors import NotFound
 from server.lifecycle import TRANSITIONS
 from server.models import (
@@ -37,6 +37,7 @@ from server.models import (
     QuotaEntry,
     QuotaKind,
     Score,
+    Shard,
     Submission,
     SubmissionState,
 )
@@ -91,7 +92,7 @@ def every_row_has_its_blob(services: Services, session: Session) -> Found:
 
 def every_old_blob_has_its_row(services: Services, session: Session) -> Found:
     """Bytes without a row are swept after the grace time and two passes of the sweeper."""
-    known = set(session.scalars(sa.select(Blob.sha256)))
+    known = known_digests(session)
     grace = timedelta(seconds=services.settings.orphan_grace_s * 2 + 1)
     deadline = database.now(session) - grace
     for blob in services.blobs.stored():
@@ -156,6 +157,23 @@ def attempts_add_up(services: Services, session: Session) -> Found:
         scored = [attempt.number for attempt in own if attempt.outcome is AttemptOutcome.SCORED]
         if len(scored) != (submission.state is SubmissionState.SCORED):
             yield subject, f"is {submission.state}, but attempts {scored} scored it"
+
+
+def shards_are_of_running_attempts(services: Services, session: Session) -> Found:
+    """Shards are there only while their attempt runs; together they have every image once, and each blob is kept."""
+    stored = {blob.sha256 for blob in services.blobs.stored()}
+    shards: dict[Attempt, list[Shard]] = defaultdict(list)
+    for shard in session.scalars(sa.select(Shard).order_by(Shard.number)):
+        attempt = session.get_one(Attempt, (shard.submission_id, shard.attempt))
+        shards[attempt].append(shard)
+        for sha256 in {shard.predictions_sha256, shard.result_sha256} - stored - {None}:
+            yield f"blob:{sha256}", f"is not in the blob store, but shard {shard.number} of {attempt.number} keeps it"
+    for attempt, own in shards.items():
+        subject = f"submission:{attempt.submission_id}"
+        if attempt.outcome is not AttemptOutcome.RUNNING:
+            yield subject, f"attempt {attempt.number} is {attempt.outcome} and has {len(own)} shards"
+        if own[0].first_image or any(one.end_image != two.first_image for one, two in itertools.pairwise(own)):
+            yield subject, f"the shards of attempt {attempt.number} do not follow one another"
 
 
 def scores_belong_to_scored(services: Services, session: Session) -> Found:
@@ -343,6 +361,7 @@ CHEAP_RULES: tuple[Callable[[Services, Session], Found], ...] = (
     states_follow_the_trail,
     the_trail_has_every_step,
     attempts_add_up,
+    shards_are_of_running_attempts,
     scores_belong_to_scored,
     no_score_is_written_twice,
     the_ledger_fits_the_states,

@@ -25,6 +25,8 @@ class Claim:
     protocol: str
     item_id: int | None = None
     """Of a re-scoring, when that is what is held; None: the submission itself."""
+    shards: int = 1
+    """Into how many ranges of images the work is divided; 1: it is not."""
 
     @property
     def name(self) -> str:
@@ -36,6 +38,28 @@ class Claim:
     def actor(self) -> str:
         """Name the worker in the audit trail."""
         return f"worker:{self.worker}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShardClaim:
+    """A worker's hold on a range of a submission's images."""
+
+    submission_id: uuid.UUID
+    attempt: int
+    number: int
+    claim: int
+    """The fence."""
+    lease_s: float
+    predictions_sha256: str
+    """The validated predictions as arrays."""
+    ground_truth_sha256: str
+    protocol: str
+    images: range
+
+    @property
+    def name(self) -> str:
+        """Name the claim apart from every other one."""
+        return f"{self.submission_id}-{self.attempt}-shard-{self.number}-{self.claim}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,6 +12,7 @@
     │   ├── Held               409  held_for_review
     │   ├── IllegalTransition  409  illegal_transition
     │   └── LeaseLost          409  lease_lost          a worker's write came too late; never leaves the worker
+    │       └── ShardLost      409  shard_lost          the same of a shard
     ├── QuotaExceeded          429  quota_exceeded
     │   └── TooManyRejections  429  too_many_rejections
     ├── Unavailable            503  unavailable
@@ -97,6 +98,12 @@ class LeaseLost(Conflict):
     """The worker no longer holds the submission: another attempt, a cancellation or the sweeper took it."""
 
     code = "lease_lost"
+
+
+class ShardLost(LeaseLost):
+    """The worker no longer holds the shard: another worker took it, or the attempt it belongs to is over."""
+
+    code = "shard_lost"
 
 
 class QuotaExceeded(ServerError):

@@ -17,7 +17,7 @@ from typing import Any, cast
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from server import audit, database, integrity, quota, ranking
+from server import audit, database, integrity, quota, ranking, shards
 from server.claims import Claim, Result
 from server.errors import IllegalTransition, LeaseLost
 from server.models import Attempt, AttemptOutcome, Phase, Score, ScoreReplicates, Submission, SubmissionState
@@ -82,6 +82,7 @@ def claim(session: Session, submission_id: uuid.UUID, *, worker: str, lease_s: f
         ground_truth_sha256=ground_truth.sha256,
         image_list_sha256=ground_truth.image_list_sha256,
         protocol=submission.phase.protocol,
+        shards=submission.phase.shards,
     )
 
 
@@ -346,6 +347,7 @@ def _lost_attempts(session: Session, submission: Submission) -> int:
 def _end_attempt(session: Session, submission: Submission, outcome: AttemptOutcome, detail: str | None = None) -> None:
     attempt = session.get_one(Attempt, (submission.id, submission.attempt))
     attempt.outcome, attempt.detail, attempt.ended_at = outcome, detail, database.now(session)
+    shards.forget(session, submission.id)
     session.flush()
 
 

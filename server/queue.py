@@ -1,14 +1,16 @@
 """The queue: tells workers that a submission waits. The database is the truth, a message is only a hint.
 
-A message carries the submission's id and nothing else. Losing every message loses nothing: the sweeper sends again.
+A message carries ids and nothing else. Losing every message loses nothing: the sweeper sends again.
 Publish after the commit, never inside the transaction: a worker must find the row the message speaks of.
 """
 
 import contextlib
 import uuid
+from collections.abc import Callable
+from functools import partial
 
 import structlog
-from celery import Celery
+from celery import Celery, group
 from kombu.exceptions import OperationalError
 from redis.exceptions import RedisError
 
@@ -17,6 +19,7 @@ from server.settings import Settings
 log = structlog.get_logger(__name__)
 
 EVALUATE_TASK = "cs3d.evaluate"
+SHARD_TASK = "cs3d.shard"
 SWEEP_TASK = "cs3d.sweep"
 RESCORE_TASK = "cs3d.rescore"
 QUEUE_NAME = "cs3d"
@@ -115,9 +118,26 @@ class Queue:
         """
         return self._send(RESCORE_TASK, item_id, PRIORITY_BULK)
 
+    def enqueue_shards(self, submission_id: uuid.UUID, attempt: int, count: int) -> bool:
+        """Tell the workers that the images of a submission wait in `count` shards, as one group of messages.
+
+        They queue behind whatever waits: the submission's holder does every shard that no idle worker takes.
+
+        Returns:
+            False when the broker did not take them; nothing sends them again.
+        """
+        calls = [(str(submission_id), attempt, number) for number in range(count)]
+        shards = [self._app.signature(SHARD_TASK, args=call, priority=PRIORITY_NORMAL) for call in calls]
+        return self._taken(group(shards, app=self._app).apply_async, SHARD_TASK, str(submission_id))
+
     def _send(self, task: str, argument: str | int, priority: int) -> bool:
+        return self._taken(partial(self._app.send_task, task, args=[argument], priority=priority), task, argument)
+
+    @staticmethod
+    def _taken(publish: Callable[[], object], task: str, argument: str | int) -> bool:
+        """Say whether the broker took what is published."""
         try:
-            self._app.send_task(task, args=[argument], priority=priority)
+            publish()
         # RuntimeError: kombu's pool was closed, here or by another user of it in this process.
         except (OperationalError, RedisError, OSError, RuntimeError) as error:
             log.warning("enqueue_failed", task=task, argument=argument, error=repr(error))

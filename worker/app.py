@@ -1,6 +1,7 @@
 """The Celery application: `celery -A worker.app worker` on any machine with the same settings.
 
-Tasks: `cs3d.evaluate` (a submission's id), `cs3d.rescore` (an item of a re-scoring) and `cs3d.sweep`. Every worker also sweeps by itself, so recovery needs no
+Tasks: `cs3d.evaluate` (a submission's id), `cs3d.shard` (a range of the images of one that another process holds),
+`cs3d.rescore` (an item of a re-scoring) and `cs3d.sweep`. Every worker also sweeps by itself, so recovery needs no
 scheduler; a scheduler (`celery -A worker.app beat`) is for installations whose workers come and go.
 SIGTERM drains: running submissions are finished, no new ones are taken.
 """
@@ -17,11 +18,11 @@ from celery import signals
 
 from server import sweeper
 from server.errors import ServerError
-from server.queue import EVALUATE_TASK, RESCORE_TASK, SWEEP_TASK, celery_app
+from server.queue import EVALUATE_TASK, RESCORE_TASK, SHARD_TASK, SWEEP_TASK, celery_app
 from server.services import Services
 from server.settings import Settings
 from worker import acknowledging
-from worker.evaluation import evaluate_submission
+from worker.evaluation import evaluate_submission, match_shard
 from worker.rescoring import evaluate_item
 from worker.sandbox import Sandbox
 
@@ -67,6 +68,13 @@ def rescore(item_id: int) -> None:
     """Score a submission again, if that is what an item of a re-scoring waits for."""
     this = _process(os.getpid())
     evaluate_item(this.services, this.sandbox, item_id, worker=this.name)
+
+
+@app.task(name=SHARD_TASK)
+def match(submission_id: str, attempt: int, number: int) -> None:
+    """Match the images of a shard of a submission that another process holds, if it still waits."""
+    this = _process(os.getpid())
+    match_shard(this.services, this.sandbox, uuid.UUID(submission_id), attempt, number, worker=this.name)
 
 
 @app.task(name=SWEEP_TASK)

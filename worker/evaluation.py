@@ -1,4 +1,4 @@
-"""What a message leads to: claim the submission, work on it in the sandbox, record what came of it.
+"""What a message leads to: claim the submission or the shard, work on it in the sandbox, record what came of it.
 
 The claim's fence is in every write, so whatever happens twice, late or halfway changes nothing that is not due.
 """
@@ -11,12 +11,13 @@ from typing import Protocol
 import structlog
 from celery.exceptions import SoftTimeLimitExceeded
 
-from server import lifecycle
-from server.claims import Claim
+from server import lifecycle, shards
+from server.claims import Claim, ShardClaim
 from server.errors import LeaseLost, NotFound, ServerError, StorageFull, Unavailable
 from server.services import Services
 from worker.attempt import Attempt
 from worker.sandbox import Sandbox, SandboxError
+from worker.sharding import ShardedAttempt, ShardWork
 
 log = structlog.get_logger(__name__)
 
@@ -25,7 +26,7 @@ class Work(Protocol):
     """A claim being worked on, whatever it is of."""
 
     @property
-    def held(self) -> Claim:
+    def held(self) -> Claim | ShardClaim:
         """What is held."""
 
     @property
@@ -49,7 +50,25 @@ def evaluate_submission(services: Services, sandbox: Sandbox, submission_id: uui
     """Do everything a waiting submission needs. Anything else than a waiting submission: nothing."""
     held = _claim(services, submission_id, worker)
     if held is not None:
-        carry_out(Attempt(services, held), sandbox)
+        carry_out((ShardedAttempt if held.shards > 1 else Attempt)(services, held), sandbox)
+
+
+def match_shard(
+    services: Services, sandbox: Sandbox, submission_id: uuid.UUID, attempt: int, number: int, *, worker: str
+) -> None:
+    """Match the images of a shard, if it still waits."""
+    try:
+        with services.transaction() as session:
+            taken = shards.claim(
+                session, submission_id, attempt, number, worker=worker, lease_s=services.settings.lease_s
+            )
+    except Unavailable as error:  # the submission's holder does the shard itself
+        log.warning("not_claimed", submission_id=str(submission_id), shard=number, error=str(error))
+        return
+    if taken is None:
+        log.info("nothing_to_do", submission_id=str(submission_id), shard=number)
+    else:
+        carry_out(ShardWork(services, taken), sandbox)
 
 
 def carry_out(work: "Work", sandbox: Sandbox) -> None:
