@@ -11,7 +11,7 @@ from evaluator.archive import check_framing, digest, open_archive, open_source
 from evaluator.decoding import garbage_collection_paused
 from evaluator.doctor import examine
 from evaluator.findings import Findings
-from evaluator.ground_truth import ImageList
+from evaluator.ground_truth import GroundTruth, ImageList
 from evaluator.lenient import NO_LIMITS, LenientReading, LinkFollowingFolder
 from evaluator.limits import DEFAULT_LIMITS, Limits
 from evaluator.predictions import Predictions
@@ -34,7 +34,7 @@ class Intake:
 def read_predictions(
     source: Path,
     *,
-    images: ImageList | None,
+    images: ImageList | GroundTruth | None,
     labels: tuple[str, ...] = EVALUATED_LABELS,
     limits: Limits = DEFAULT_LIMITS,
     progress: Progress | None = None,

@@ -124,8 +124,8 @@ def _overlapping_pairs(
     """Return all pairs within groups whose IoU is above a value, ordered by ground truth, then prediction."""
     found = [Pairs(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
     for rows in pairs_within_groups(*groups):
-        touching = _touches(gt_boxes, prediction_boxes, *rows)
-        gt_row, prediction_row = rows[0][touching], rows[1][touching]
+        possible = _side_by_side(gt_boxes, prediction_boxes, *rows, above_iou)
+        gt_row, prediction_row = rows[0][possible], rows[1][possible]
         iou = intersections_over_unions(gt_boxes[:, gt_row], prediction_boxes[:, prediction_row])
         pairs = Pairs(gt_row, prediction_row, iou)
         found.append(pairs[iou > above_iou])
@@ -162,13 +162,18 @@ def groups_of(ground_truth: GroundTruth, predictions: Predictions, protocol: Pro
     return gt_group, np.where(prediction_class < 0, -2, predictions.image_index * classes + prediction_class)
 
 
-def _touches(
-    gt_boxes: Float64Array, prediction_boxes: Float64Array, gt_row: RowArray, prediction_row: RowArray
+def _side_by_side(
+    gt_boxes: Float64Array, prediction_boxes: Float64Array, gt_row: RowArray, prediction_row: RowArray, above_iou: float
 ) -> NDArray[np.bool_]:
-    """Return whether the pairs share a column of pixels: a cheap test that most pairs fail."""
-    right = np.minimum(gt_boxes[2, gt_row], prediction_boxes[2, prediction_row])
-    left = np.maximum(gt_boxes[0, gt_row], prediction_boxes[0, prediction_row])
-    return np.asarray(right - left + 1 > 0)
+    """Return whether the pairs share enough columns of pixels for their IoU: a cheap test that most pairs fail.
+
+    The intersection is at most as high as either box, so the IoU is at most the shared width over the greater width.
+    """
+    gt_left, gt_right = gt_boxes[0, gt_row], gt_boxes[2, gt_row]
+    left, right = prediction_boxes[0, prediction_row], prediction_boxes[2, prediction_row]
+    shared_width = np.minimum(gt_right, right) - np.maximum(gt_left, left) + 1
+    width = np.maximum(gt_right - gt_left, right - left) + 1
+    return np.asarray((shared_width > 0) & (shared_width >= (above_iou - ROUNDING) * width))
 
 
 def take_edges(edges: Edges, free_gt: MaskArray, free_prediction: MaskArray) -> MaskArray:

@@ -36,6 +36,9 @@ from evaluator.strict import StrictReading
 _FEWEST_BOXES = 400
 """In all; with fewer, half of them may be too few to recognise a mistake by, and one process is as fast."""
 
+_OWN_SHARE = 0.48
+"""Of the images for the process that also computes the digest, so that both are done at the same time."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileEvaluation:
@@ -82,7 +85,7 @@ def evaluate_file(
         evaluation = _evaluate_in_halves(source, ground_truth, protocol, ground_truth_sha256)
         if evaluation is not None:
             return evaluation
-    intake = read_predictions(source, images=ground_truth.image_list(), labels=evaluated_labels(protocol))
+    intake = read_predictions(source, images=ground_truth, labels=evaluated_labels(protocol))
     if intake.predictions is None:
         return FileEvaluation(scores=None, statistics=None, report=intake.report, predictions_sha256=intake.sha256)
     result = evaluate(
@@ -108,21 +111,22 @@ def _evaluate_in_halves(
         reading = StrictReading(files, ground_truth.images, evaluated_labels(protocol), DEFAULT_LIMITS, findings)
         if findings.error_count:
             return None
-        middle = len(ground_truth.images) // 2
+        middle = int(len(ground_truth.images) * _OWN_SHARE)
         with _forked(reading, findings, ground_truth, protocol, slice(middle, None)) as answer:
             first = _evaluate_half(reading, findings, ground_truth, protocol, slice(0, middle))
             sha256 = digest(source)
             second = answer.receive()
-    if first is None or second is None or first.boxes + second.boxes < _FEWEST_BOXES:
-        return None
-    statistics = join([first.statistics, second.statistics])
-    signature = signature_of(protocol, ground_truth_sha256, sha256)
-    return FileEvaluation(
-        scores=score_by_protocol(statistics, signature),
-        statistics=statistics,
-        report=_report(findings, first, second, len(ground_truth.images)),
-        predictions_sha256=sha256,
-    )
+            if first is None or second is None or first.boxes + second.boxes < _FEWEST_BOXES:
+                return None
+            # The other process takes its time to end; meanwhile there is enough to do here.
+            statistics = join([first.statistics, second.statistics])
+            signature = signature_of(protocol, ground_truth_sha256, sha256)
+            return FileEvaluation(
+                scores=score_by_protocol(statistics, signature),
+                statistics=statistics,
+                report=_report(findings, first, second, len(ground_truth.images)),
+                predictions_sha256=sha256,
+            )
 
 
 def _evaluate_half(
@@ -133,7 +137,7 @@ def _evaluate_half(
     reading.assigned = reading.assigned[part]
     predictions = predictions_of(reading.read(None), part)
     truth = ground_truth_of(ground_truth, part)
-    examine(predictions, images=truth.image_list(), known_labels=reading.known_labels, findings=findings)
+    examine(predictions, images=truth, known_labels=reading.known_labels, findings=findings)
     found = {group.code: group for group in _groups(findings)}
     left_out = found.pop(Code.UNEVALUATED_LABEL.value, None)
     if len(found) != before or findings.error_count:

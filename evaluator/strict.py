@@ -98,8 +98,8 @@ class StrictReading:
     def _finish(self, batch: "_Batch") -> Columns:
         """Turn a batch into arrays and explain the files with keys or values that are not as they should be."""
         columns, modal = batch.columns.build(batch.image_index)
-        boxes, colons = len(batch.columns), count_colons(batch.data)
-        if not keys_are_expected(colons=colons, files=len(batch.data), boxes=boxes, modal=modal):
+        boxes = len(batch.columns)
+        if not keys_are_expected(colons=batch.colons, files=len(batch.data), boxes=boxes, modal=modal):
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
@@ -122,6 +122,7 @@ class _Batch:
         self.data: list[bytes] = []
         self.images: list[int] = []
         self.counts: list[int] = []
+        self.colons = 0
         self._bytes = 0
 
     def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box]) -> None:
@@ -131,6 +132,7 @@ class _Batch:
         self.data.append(data)
         self.images.append(image)
         self.counts.append(len(boxes))
+        self.colons += count_colons(data)
         self._bytes += len(data)
 
     @property

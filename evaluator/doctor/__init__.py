@@ -8,19 +8,18 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 
 from evaluator.codes import Code
-from evaluator.doctor.evidence import FEWEST_BOXES, gather_evidence
+from evaluator.doctor.evidence import FEWEST_BOXES, Cameras, gather_evidence
 from evaluator.doctor.image import check_image
 from evaluator.doctor.space import check_space
 from evaluator.doctor.values import check_labels, check_scores
 from evaluator.findings import Findings
-from evaluator.ground_truth import ImageList
 from evaluator.predictions import Predictions
 
 __all__ = ["examine"]
 
 
 def examine(
-    predictions: Predictions, *, images: ImageList | None, known_labels: AbstractSet[str], findings: Findings
+    predictions: Predictions, *, images: Cameras | None, known_labels: AbstractSet[str], findings: Findings
 ) -> None:
     """Look for mistakes and add a warning for each.
 

@@ -1,15 +1,19 @@
 """What the convention doctor looks at: plausible boxes with their cameras, and how well 2D and 3D fit together."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.ground_truth import ImageList
+from evaluator.ground_truth import GroundTruth, ImageList
 from evaluator.predictions import Float64Array, Predictions
 from evaluator.projection import projected_corners_px
 from evaluator.value_ranges import BOX_LIMIT_PX, CENTER_LIMIT_M, DIMENSION_RANGE_M, ROTATION_NORM_RANGE
+
+Cameras = ImageList | GroundTruth
+"""Either tells the images and their cameras."""
 
 MOST_BOXES = 1500
 """Looked at; evenly spread over the submission. More would not make the medians better."""
@@ -19,7 +23,7 @@ _SMALLEST_AREA_PX = 100.0
 """2D boxes below say nothing: rounding to pixels already moves them."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """N boxes, N possibly 0, layout as in `Predictions`, each with its own camera."""
 
@@ -62,12 +66,15 @@ class Evidence:
             amodal_px=self.amodal_px if amodal_px is None else amodal_px,
         )
 
+    @cached_property
     def overlaps(self) -> Float64Array:
-        """Compare each projected 3D box with its submitted amodal box.
+        """How each projected 3D box agrees with its submitted amodal box.
 
-        Returns:
-            IoU in [0, 1], greater is better; only of the boxes large enough to tell, (K,) with K <= N.
+        IoU in [0, 1], greater is better; only of the boxes large enough to tell, (K,) with K <= N, and of none when
+        the cameras are unknown.
         """
+        if not self.has_cameras:
+            return np.empty(0)
         large = (self.amodal_px[:, 2] * self.amodal_px[:, 3] > _SMALLEST_AREA_PX) & (self.amodal_px[:, 2:] > 0).all(1)
         projected = projected_corners_px(
             self.center_m[large],
@@ -89,7 +96,7 @@ def _iou(first: Float64Array, second: Float64Array) -> Float64Array:
     return iou
 
 
-def gather_evidence(predictions: Predictions, images: ImageList | None) -> Evidence:
+def gather_evidence(predictions: Predictions, images: Cameras | None) -> Evidence:
     """Take a sample of the boxes whose values are plausible each by itself.
 
     Args:
@@ -100,8 +107,8 @@ def gather_evidence(predictions: Predictions, images: ImageList | None) -> Evide
     chosen = sampled[_plausible(predictions, sampled)]
     image = predictions.image_index[chosen]
     known = images is not None and len(images.intrinsics_px) == len(predictions.images) > 0
-    intrinsics = np.array(images.intrinsics_px if images is not None and known else ()).reshape(-1, 4)
-    sensors = np.array(images.sensor_from_vehicle if images is not None and known else ()).reshape(-1, 3, 4)
+    intrinsics = np.asarray(images.intrinsics_px if images is not None and known else ()).reshape(-1, 4)
+    sensors = np.asarray(images.sensor_from_vehicle if images is not None and known else ()).reshape(-1, 3, 4)
     return Evidence(
         label=np.array((*predictions.labels, ""))[predictions.label_index[chosen]],
         center_m=predictions.center_m[chosen],

@@ -75,10 +75,9 @@ def _check_image_size(evidence: Evidence, findings: Findings) -> bool:
 
 def _check_distance(evidence: Evidence, findings: Findings) -> None:
     """Many 2D boxes have nothing to do with where their 3D boxes project to."""
-    overlaps = evidence.overlaps() if evidence.has_cameras else np.empty(0)
-    if len(overlaps) < FEWEST_BOXES:
+    if len(evidence.overlaps) < FEWEST_BOXES:
         return
-    share = float((overlaps < _FAR).mean())
+    share = float((evidence.overlaps < _FAR).mean())
     if share > 0.4:  # noqa: PLR2004 -- far more than bad regression explains
         findings.add(Code.BOXES_FAR_FROM_PROJECTION, found=f"{share:.0%} of the boxes overlap by less than {_FAR}")
         findings.trust(Code.BOXES_FAR_FROM_PROJECTION, round(0.5 + share / 2.1, 2))

@@ -43,7 +43,7 @@ _OWN_ROAD_M = (-12.0, 2.0)
 
 def median_overlap(evidence: Evidence) -> float | None:
     """Median IoU of projected and submitted boxes, None when there are too few to tell."""
-    overlaps = evidence.overlaps() if evidence.has_cameras else np.empty(0)
+    overlaps = evidence.overlaps
     return float(np.median(overlaps)) if len(overlaps) >= FEWEST_BOXES else None
 
 
@@ -96,7 +96,8 @@ def _check_quaternion_order(evidence: Evidence, findings: Findings) -> tuple[Evi
 
 def _check_dimensions(evidence: Evidence, findings: Findings) -> tuple[Evidence, bool]:
     """Another order of the dimensions is closer to how vehicles are shaped."""
-    distances = {order: _distance_from_typical(evidence, order) for order in permutations(range(3))}
+    medians = _median_dimensions(evidence)
+    distances = {order: _distance_from_typical(medians, order) / len(evidence) for order in permutations(range(3))}
     best = min(distances, key=lambda order: distances[order])
     gain = distances[0, 1, 2] - distances[best]
     if gain < 0.5:  # noqa: PLR2004 -- in natural logarithms over three dimensions; swapped l and w of cars give 1.8
@@ -107,15 +108,18 @@ def _check_dimensions(evidence: Evidence, findings: Findings) -> tuple[Evidence,
     return evidence.with_boxes(dimensions_m=evidence.dimensions_m[:, list(best)]), True
 
 
-def _distance_from_typical(evidence: Evidence, order: tuple[int, ...]) -> float:
-    """Mean over the boxes of how far their class's median dimensions are from the typical ones, as a logarithm."""
-    total = 0.0
-    for label, typical in TYPICAL_DIMENSIONS_M.items():
-        of_class = evidence.label == label
-        if of_class.any():
-            median = np.median(evidence.dimensions_m[of_class], axis=0)[list(order)]
-            total += float(of_class.sum() * np.abs(np.log(median / typical)).sum())
-    return total / len(evidence)
+def _median_dimensions(evidence: Evidence) -> dict[str, tuple[int, Float64Array]]:
+    """Count the boxes of each class with typical dimensions, and take the medians of theirs, (3,)."""
+    of_class = {label: evidence.dimensions_m[evidence.label == label] for label in TYPICAL_DIMENSIONS_M}
+    return {label: (len(rows), np.median(rows, axis=0)) for label, rows in of_class.items() if len(rows)}
+
+
+def _distance_from_typical(medians: dict[str, tuple[int, Float64Array]], order: tuple[int, ...]) -> float:
+    """Sum over the boxes of how far their class's median dimensions are from the typical ones, as a logarithm."""
+    return sum(
+        count * float(np.abs(np.log(median[list(order)] / TYPICAL_DIMENSIONS_M[label])).sum())
+        for label, (count, median) in medians.items()
+    )
 
 
 def _in_vehicle_frame(evidence: Evidence, in_camera_m: Float64Array) -> Float64Array:
@@ -232,7 +236,7 @@ def _check_random_headings(evidence: Evidence, fit: float, findings: Findings) -
         return False
     exchanged = median_overlap(evidence.with_boxes(rotation=np.roll(evidence.rotation, len(evidence) // 2, axis=0)))
     headings = np.linspace(0.0, np.pi, 12, endpoint=False)
-    best = np.maximum.reduce([_with_yaw(evidence, heading).overlaps() for heading in headings])
+    best = np.maximum.reduce([_with_yaw(evidence, heading).overlaps for heading in headings])
     possible = float(np.median(best))
     if exchanged is None or fit > exchanged + 0.03 or possible < max(fit + _GAIN, _LEAST_FIT):
         return False
