@@ -11,9 +11,17 @@ LISTED_PROBLEMS = 20
 def report_text(report: Report) -> str:
     """Return the report as text: every group with its count, its fix and where it was found; "" when it is empty."""
     lines = [line for group in report.groups for line in _group_lines(group)]
-    if report.groups:
-        lines.append(f"{report.boxes} boxes in {report.images_found} of {report.images_expected} images were read.")
+    if report.groups and report.images_expected:
+        lines.append(f"{amount(report)} were read.")
     return "\n".join(lines)
+
+
+def amount(report: Report, *, images_known: bool = True) -> str:
+    """Say how much was read: boxes and images, of how many when that is known."""
+    boxes = "1 box" if report.boxes == 1 else f"{report.boxes} boxes"
+    of = f" of {report.images_expected}" if images_known else ""
+    one = (report.images_expected if images_known else report.images_found) == 1
+    return f"{boxes} in {report.images_found}{of} {'image' if one else 'images'}"
 
 
 def _group_lines(group: ProblemGroup) -> Iterator[str]:

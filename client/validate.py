@@ -4,17 +4,22 @@ Exit status: 0 nothing wrong, 1 problems in the predictions, 2 wrong usage.
 """
 
 import argparse
-import sys
+import io
+import re
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from client.report_text import LISTED_PROBLEMS, problem_line
+from client.report_text import LISTED_PROBLEMS, amount, problem_line
 from evaluator.errors import DataError, UsageError
 
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from evaluator.ground_truth import ImageList
     from evaluator.intake import Intake
-    from evaluator.report import Report
+    from evaluator.report import ProblemGroup, Report
+
+_IMAGE_NAME = re.compile(r"[^\s/_]+(?:_[^\s/_]+)*_\d+_\d+")
+"""<city>_<sequence>_<frame>."""
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -61,17 +66,28 @@ def read_image_list(source: Path) -> "ImageList":
     from evaluator.ground_truth import ImageList, read_ground_truth  # noqa: PLC0415 - likewise
 
     try:
-        if source.is_dir() or source.suffix == ".zip":
+        if source.is_dir() or zipfile.is_zipfile(source):
             return read_ground_truth(source).image_list()
         data = source.read_bytes()
         if data.lstrip().startswith(b"{"):
-            return msgspec.json.decode(data, type=ImageList)
-        names = tuple(sorted(set(data.decode("utf-8").split())))
+            return _checked(msgspec.json.decode(data, type=ImageList), source)
+        names = sorted({line.strip() for line in data.decode("utf-8-sig").splitlines()} - {""})
     except (OSError, DataError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"--images {source} cannot be read: {error}") from error
-    if not names:
-        raise UsageError(f"--images {source} names no image; write one name in each line.")
-    return ImageList(images=names, intrinsics_px=(), sensor_from_vehicle=())
+    return _checked(ImageList(images=tuple(names), intrinsics_px=(), sensor_from_vehicle=()), source)
+
+
+def _checked(images: "ImageList", source: Path) -> "ImageList":
+    """Refuse a list that is none, such as any other text."""
+    odd = next((name for name in images.images if not _IMAGE_NAME.fullmatch(name)), None)
+    if odd is not None:
+        message = f"--images {source} holds {odd[:80]!r}; write one <city>_<sequence>_<frame> in each line."
+        raise UsageError(message)
+    if not images.images:
+        raise UsageError(f"--images {source} names no image; write one <city>_<sequence>_<frame> in each line.")
+    if len(set(images.images)) < len(images.images):
+        raise UsageError(f"--images {source} names an image twice; name each once.")
+    return images
 
 
 def report_json(intake: "Intake") -> str:
@@ -85,33 +101,39 @@ def report_json(intake: "Intake") -> str:
 
 def _print_report(report: "Report", name: str, *, images_known: bool) -> None:
     """Print a table of all problems and below it where they are."""
-    from rich.console import Console  # noqa: PLC0415 - not needed for --json
-    from rich.table import Table  # noqa: PLC0415 - likewise
-    from rich.text import Text  # noqa: PLC0415 - likewise
-
-    console = Console(file=sys.stdout, highlight=False)
     if report.groups:
-        table = Table("", "count")
-        for heading in ("problem", "fix"):
-            table.add_column(heading, overflow="fold")
-        for group in report.groups:
-            table.add_row(group.severity, str(group.count), Text(f"{group.title}\n{group.code}"), Text(group.fix))
-        console.print(table)
+        print(_table(report.groups), end="")
     for group in report.groups:
-        for number, problem in enumerate(group.problems[:LISTED_PROBLEMS]):
-            text = problem_line(problem)
-            if text:
-                print(f"{group.code}:" if not number else "", f"  {text}", sep="\n" if not number else "")
+        lines = [line for line in map(problem_line, group.problems[:LISTED_PROBLEMS]) if line]
+        if lines:
+            print(f"{group.code}:", *lines, sep="\n  ")
         if group.count > LISTED_PROBLEMS:
             print(f"  and {group.count - LISTED_PROBLEMS} more")
     print(_verdict(report, name, images_known=images_known))
 
 
+def _table(groups: "tuple[ProblemGroup, ...]") -> str:
+    """Lay the problems out as wide as the terminal."""
+    from rich.console import Console  # noqa: PLC0415 - not needed for --json
+    from rich.table import Table  # noqa: PLC0415 - likewise
+    from rich.text import Text  # noqa: PLC0415 - likewise
+
+    table = Table("", "count")
+    for heading in ("problem", "fix"):
+        table.add_column(heading, overflow="fold")
+    for group in groups:
+        table.add_row(group.severity, str(group.count), Text(f"{group.title}\n{group.code}"), Text(group.fix))
+    # Not straight to the output: rich would end the program with status 1 when a pipe's reader is gone.
+    text = io.StringIO()
+    console = Console(file=text, width=Console().width, highlight=False)
+    console.print(table)
+    return text.getvalue()
+
+
 def _verdict(report: "Report", name: str, *, images_known: bool) -> str:
     """Sum the report up in one line."""
-    images = (
-        f"{report.images_found} of {report.images_expected} images" if images_known else f"{report.images_found} images"
-    )
+    if not report.accepted and not report.images_found and not report.images_expected:
+        return f"{name}: not valid, nothing in it was read."
     verdict = "valid" if report.accepted else "not valid"
     unchecked = "" if images_known else " Missing images were not looked for; give --images."
-    return f"{name}: {verdict}, {report.boxes} boxes in {images}.{unchecked}"
+    return f"{name}: {verdict}, {amount(report, images_known=images_known)}.{unchecked}"

@@ -12,6 +12,8 @@ _RESULTS_FILE = "results.json"
 """The name under which the reference puts its own output, by default beside the predictions."""
 _LONGEST_COMPARED = 80
 """Characters; longer names are not searched for slips of the pen."""
+_MOST_FORMS = 100_000
+"""Forms filed, some 25 MB at most and enough for 4,000 names of usual length; further names are found by no slip."""
 
 
 def assign_files(
@@ -41,8 +43,9 @@ def assign_files(
         else:
             file_of[image] = number
     ordered = tuple(sorted(file_of)) if images is None else tuple(images)
-    missing = [image for image in ordered if image not in file_of]
-    _report_names(missing, unknown, ordered, findings)
+    if file_of or unknown:  # without any prediction, a list of every image would bury that one fact
+        missing = [image for image in ordered if image not in file_of]
+        _report_names(missing, unknown, ordered, findings)
     return ordered, [(index, file_of[image]) for index, image in enumerate(ordered) if image in file_of]
 
 
@@ -114,15 +117,21 @@ class NearestName:
     """Finds names that differ by one slip: a character dropped, added, changed or two swapped, or case and signs.
 
     Linear: each name is filed under its simplified form and under every form with one character left out, so two
-    names one slip apart meet.
+    names one slip apart meet. Bounded in memory: hostile archives have many long names.
     """
 
     def __init__(self, names: Iterable[str]) -> None:
         """File the names."""
         self._filed: dict[str, str] = {}
         for name in names:
+            if len(self._filed) >= _MOST_FORMS:
+                break
             for form in _forms(name):
                 self._filed.setdefault(form, name)
+
+    def __len__(self) -> int:
+        """Count the forms."""
+        return len(self._filed)
 
     def find(self, name: str) -> str | None:
         """Find the first name close to this one."""

@@ -1,12 +1,13 @@
 """Ground truth as arrays: cameras, boxes and ignore regions of a set of images; reading and storing it."""
 
+import os
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from typing import Self
+from typing import Never, Self
 
 import msgspec
 import numpy as np
@@ -117,6 +118,9 @@ def image_name(file_name: str) -> str | None:
 def read_ground_truth(source: Path) -> GroundTruth:
     """Read a folder or zip of `<city>_<sequence>_<frame>_<anything>.json` files, in any sub folders.
 
+    `results.json` and macOS's `._*` lie beside ground truth and are no part of it. Whatever else looks like ground truth
+    but is named otherwise (`.JSON`, `_gtBbox3d.json.bak`), and links to folders, are errors: nothing is left out in silence.
+
     Args:
         source: A folder or a zip file.
 
@@ -140,7 +144,7 @@ def read_ground_truth(source: Path) -> GroundTruth:
 def _read(source: Path) -> GroundTruth:
     documents: dict[str, ground_truth_json.Document] = {}
     found: list[str] = []
-    for file_name, data in _json_files(source):
+    for file_name, data in _json_files(source, found):
         image = image_name(file_name)
         if image is None:
             found.append(f"{file_name}: name it <city>_<sequence>_<frame>_gtBbox3d.json")
@@ -155,23 +159,43 @@ def _read(source: Path) -> GroundTruth:
     return _assemble(dict(sorted(documents.items())))
 
 
-def _json_files(source: Path) -> Iterator[tuple[str, bytes]]:
+def _json_files(source: Path, found: list[str]) -> Iterator[tuple[str, bytes]]:
+    """Yield names and bytes in sorted order; `found` receives what only looks like ground truth."""
     if source.is_dir():
-        for path in sorted(source.rglob("*.json")):
-            if _is_wanted(path.name):
-                yield str(path.relative_to(source)), path.read_bytes()
+        for name in sorted(_names_below(source, found)):
+            if _is_wanted(name, found):
+                yield name, (source / name).read_bytes()
     elif zipfile.is_zipfile(source):
         with zipfile.ZipFile(source) as archive:
             for name in sorted(archive.namelist()):
-                if _is_wanted(PurePosixPath(name).name):
+                if _is_wanted(name, found):
                     yield name, archive.read(name)
     else:
         raise GroundTruthError(f"{source} is neither a folder nor a zip file; give one of the two.")
 
 
-def _is_wanted(name: str) -> bool:
-    """Tell ground truth from results lying beside it (`getFiles` skips them too) and from macOS's `._` files."""
-    return name.endswith(".json") and name != "results.json" and not name.startswith("._")
+def _names_below(root: Path, found: list[str]) -> Iterator[str]:
+    """Yield the relative names of all files; a folder that cannot be listed is an error, unlike with `rglob`."""
+
+    def fail(error: OSError) -> Never:
+        raise error
+
+    for folder, folders, files in os.walk(root, onerror=fail):
+        linked = [name for name in folders if Path(folder, name).is_symlink()]
+        found.extend(f"{Path(folder, name)}: a link to a folder; put the folder itself there" for name in linked)
+        yield from (Path(folder, name).relative_to(root).as_posix() for name in files)
+
+
+def _is_wanted(name: str, found: list[str]) -> bool:
+    """Tell ground truth from what lies beside it (`getFiles` passes over results, too) and from what looks like it."""
+    base = PurePosixPath(name).name
+    if base == "results.json" or base.startswith("._") or name.endswith("/"):
+        return False
+    if base.endswith(".json"):
+        return True
+    if base.lower().endswith(".json") or "gtbbox3d" in base.lower():
+        found.append(f"{name}: name it <city>_<sequence>_<frame>_gtBbox3d.json, in this spelling, or remove it")
+    return False
 
 
 def _decode(file_name: str, data: bytes, found: list[str]) -> ground_truth_json.Document:
@@ -193,7 +217,8 @@ _EMPTY = ground_truth_json.Document(
 def _message(found: list[str]) -> str:
     listed = "\n".join(f"  {problem}" for problem in found[:_LISTED_PROBLEMS])
     rest = len(found) - _LISTED_PROBLEMS
-    return f"The ground truth has {len(found)} problems:\n{listed}" + (f"\n  and {rest} more" if rest > 0 else "")
+    count = "1 problem" if len(found) == 1 else f"{len(found)} problems"
+    return f"The ground truth has {count}:\n{listed}" + (f"\n  and {rest} more" if rest > 0 else "")
 
 
 def _assemble(documents: dict[str, ground_truth_json.Document]) -> GroundTruth:

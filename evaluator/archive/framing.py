@@ -10,7 +10,7 @@ from typing import NamedTuple
 from evaluator.archive.directory import FLAG_UTF8, Entry, read_directory, widen
 from evaluator.archive.end_record import Archive, Directory, find_directory
 from evaluator.archive.framing_error import FramingError
-from evaluator.archive.names import check_names
+from evaluator.archive.names import check_names, is_passed_over
 from evaluator.codes import Code
 from evaluator.findings import Findings
 from evaluator.limits import Limits
@@ -77,7 +77,10 @@ def check_framing(archive: Archive, limits: Limits, findings: Findings) -> tuple
     _check_sizes(entries, len(archive), limits, findings)
     for entry in entries:
         _check_entry(entry, limits, findings)
-    return _locate_members(archive, entries, directory, findings)
+    members = _locate_members(archive, entries, directory, findings)
+    if not findings.error_count and all(is_passed_over(member.name) for member in members):
+        findings.add(Code.EMPTY_ARCHIVE, found="folders and system files at most")
+    return members
 
 
 def _check_sizes(entries: tuple[Entry, ...], archive_bytes: int, limits: Limits, findings: Findings) -> None:

@@ -46,8 +46,9 @@ def _no_archives() -> Iterator[Case]:
     yield "tar", "not_a_zip", (bytes(257) + b"ustar\x0000").ljust(1024, b"\0")
     yield "zeros", "not_a_zip", bytes(100)
     yield "only_signature", "truncated_archive", b"PK\x03\x04"
-    yield "no_members", "empty_archive+missing_image", write_zip([])
-    yield "only_folders", "empty_archive+missing_image", write_zip([Entry(name=b"predictions/", method=STORED)])
+    yield "no_members", "empty_archive", write_zip([])
+    yield "only_folders", "empty_archive", write_zip([Entry(name=b"predictions/", method=STORED)])
+    yield "only_debris", "empty_archive", write_zip([Entry(name=b"__MACOSX/._x.json", data=b"x")])
     yield "truncated_in_member", "truncated_archive", good[:60]
     yield "truncated_in_directory", "truncated_archive", good[: -len(FIRST.central(0))]
     yield "truncated_in_end_record", "truncated_archive", good[:-5]
@@ -268,7 +269,8 @@ def _wrong_files() -> Iterator[Case]:
     yield "file_capital_suffix", "missing_image+unexpected_file", renamed(b"berlin_000001_000019_pred.JSON")
     yield (
         "only_results",
-        "empty_archive+missing_image+results_file_ignored",
+        "empty_archive+results_file_ignored",
         write_zip([Entry(name=b"results.json", data=b"{}")]),
     )
+    yield "only_text", "empty_archive+unexpected_file", write_zip([Entry(name=b"README.txt", data=b"hello")])
     yield "json_broken_inside", "invalid_json", changed(data=EMPTY[:-1])

@@ -1,10 +1,18 @@
 import html
+import importlib
+import pkgutil
 import re
 from pathlib import Path
 
+import client
+import evaluator
+import server
+from evaluator import errors
 from evaluator.codes import MEANINGS, Code
+from evaluator.errors import BenchmarkError
 from evaluator.intake import read_predictions
 from evaluator.limits import DEFAULT_LIMITS, MIB
+from server.errors import ServerError
 from tests.data.corpus_predictions import IMAGE
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -19,6 +27,31 @@ def test_every_code_is_documented_and_no_other() -> None:
         for code, title, fix in re.findall(r"^\| `(\w+)` \| (.*) \| (.*) \|$", section, flags=re.MULTILINE):
             found[code] = (severity, title, fix)
     assert found == {code.value: (MEANINGS[code].severity, MEANINGS[code].title, MEANINGS[code].fix) for code in Code}
+
+
+def _classes() -> list[type[BenchmarkError]]:
+    """List the tree of errors but for what the server answers, which docs/api.md lists."""
+    for package in (evaluator, client, server):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
+    found, waiting = [], list(BenchmarkError.__subclasses__())
+    while waiting:
+        kind = waiting.pop(0)
+        if kind is not ServerError:
+            found.append(kind)
+            waiting.extend(kind.__subclasses__())
+    return found
+
+
+def test_the_tree_of_errors_is_the_one_drawn() -> None:
+    """The drawing in evaluator/errors.py and the table in docs/errors.md hold each class with its code, and no other."""
+    drawn = re.findall(r"^ {4}[│├└─ ]* ?(\w+) +(\w+) {2,}", errors.__doc__ or "", flags=re.MULTILINE)
+    known = [(kind.__name__, kind.code) for kind in _classes()]
+    ends = [("BenchmarkError", BenchmarkError.code), ("ServerError", ServerError.code)]
+    assert sorted(drawn) == sorted([*known, *ends])
+    text = (DOCS / "errors.md").read_text(encoding="utf-8").partition("## What ends a command")[2]
+    listed = re.findall(r"^\| `(\w+)` \| (.*) \|$", text, flags=re.MULTILINE)
+    assert sorted(listed) == sorted((kind.code, (kind.__doc__ or "").split("\n", 1)[0]) for kind in _classes())
 
 
 def test_limits_are_documented() -> None:

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 from evaluator.codes import MEANINGS, Code
+from evaluator.file_names import NearestName
 from evaluator.findings import Findings, quote
 from evaluator.ground_truth import ImageList
 from evaluator.intake import Intake, check_archive, read_predictions
@@ -15,7 +16,7 @@ from evaluator.limits import Limits
 from evaluator.report import MAX_LOCATED_PROBLEMS, Problem
 from tests.data.corpus_archives import BOX, EMPTY, IMAGES, PAIR
 from tests.data.corpus_predictions import IMAGE, box, document
-from tests.data.corpus_zip import Entry, write_zip
+from tests.data.corpus_zip import STORED, Entry, write_zip
 
 
 def _images(*names: str) -> ImageList:
@@ -290,6 +291,31 @@ def test_hostile_text_is_made_printable() -> None:
     findings.add(Code.UNEXPECTED_FILE, file="\udcff\n", found="x")
     report = findings.report(images_expected=0, images_found=0, boxes=0)
     assert json.loads(msgspec.json.encode(report))["groups"][0]["problems"][0]["file"] == "\\udcff\\n"
+
+
+def test_many_unknown_names_take_little_memory(tmp_path: Path) -> None:
+    """However many long names an archive has, the search for slips of the pen files a bounded number of forms."""
+    names = [f"{number:05d}" + "x" * 75 for number in range(20_000)]
+    # 80 characters: the name, the name without leading zeros, and 80 with one character less, some of them equal
+    assert len(NearestName(names)) < 101_000
+    (tmp_path / "berlin_00001_000019_pred.json").write_bytes(EMPTY)
+    hints = _codes_with_details(read_predictions(tmp_path, images=_images(*(f"{name}_1_2" for name in names), IMAGE)))
+    assert len(hints["missing_image"]) <= MAX_LOCATED_PROBLEMS
+
+
+def _codes_with_details(intake: Intake) -> dict[str, list[str | None]]:
+    return {group.code: [problem.detail for problem in group.problems] for group in intake.report.groups}
+
+
+def test_without_any_prediction_only_that_is_said(tmp_path: Path) -> None:
+    """An empty folder, and an archive of folders only, are one problem, not as many as there are images."""
+    folder, path = tmp_path / "empty", tmp_path / "empty.zip"
+    folder.mkdir()
+    path.write_bytes(write_zip([Entry(name=b"predictions/", method=STORED)]))
+    for source in (folder, path):
+        assert _codes(read_predictions(source, images=_images(*IMAGES))) == {"empty_archive": 1}
+    (group,) = check_archive(path).groups
+    assert (group.code, group.problems[0].found) == ("empty_archive", "folders and system files at most")
 
 
 def test_undecodable_file_names_of_a_folder_are_reported(tmp_path: Path) -> None:

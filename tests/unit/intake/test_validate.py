@@ -1,4 +1,8 @@
 import json
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -10,7 +14,8 @@ from tests.data.corpus_archives import IMAGES, PAIR
 from tests.data.corpus_predictions import box, document
 from tests.data.corpus_zip import write_zip
 
-ORACLE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
+ROOT = Path(__file__).parents[3]
+ORACLE = ROOT / "tests" / "data" / "oracle" / "realistic60"
 
 
 @pytest.fixture
@@ -25,7 +30,7 @@ def test_valid_submission_gives_status_0(archive: Path, capsys: pytest.CaptureFi
     """Nothing wrong: one line, and a word on what was not looked for."""
     assert main(["validate", str(archive)]) == 0
     assert capsys.readouterr().out == (
-        f"{archive}: valid, 1 boxes in 2 images. Missing images were not looked for; give --images.\n"
+        f"{archive}: valid, 1 box in 2 images. Missing images were not looked for; give --images.\n"
     )
 
 
@@ -38,7 +43,7 @@ def test_problems_give_status_1_and_a_table(archive: Path, capsys: pytest.Captur
     printed = capsys.readouterr().out
     assert "missing_image" in printed
     assert f"expected {third}_<anything>.json" in printed
-    assert printed.endswith("not valid, 1 boxes in 2 of 3 images.\n")
+    assert printed.endswith("not valid, 1 box in 2 of 3 images.\n")
 
 
 def test_long_lists_are_shortened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,3 +106,68 @@ def test_image_list_survives_json() -> None:
     """The JSON form of an image list is what the command reads."""
     images = ImageList(images=IMAGES, intrinsics_px=(), sensor_from_vehicle=())
     assert msgspec.json.decode(msgspec.json.encode(images), type=ImageList) == images
+
+
+@pytest.mark.parametrize("name", ["gt.ZIP", "gt"])
+def test_zipped_ground_truth_is_known_by_its_bytes(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ground truth in a zip says which images there must be, whatever the zip is called."""
+    packed = shutil.make_archive(str(tmp_path / "packed"), "zip", ORACLE / "gt")
+    source = Path(packed).rename(tmp_path / name)
+    assert main(["validate", str(ORACLE / "pred"), "--images", str(source), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["images_expected"] == 60
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("Some text that is\nno list of images\n", "'Some text that is'"),
+        (f"{IMAGES[0]}_pred.json\n", f"'{IMAGES[0]}_pred.json'"),
+        (f"berlin/{IMAGES[0]}\n", f"'berlin/{IMAGES[0]}'"),
+        ("\n \n", "names no image"),
+        ('{"images": [], "intrinsics_px": [], "sensor_from_vehicle": []}', "names no image"),
+        ('{"images": ["x"], "intrinsics_px": [], "sensor_from_vehicle": []}', "'x'"),
+        (f'{{"images": {json.dumps([IMAGES[0]] * 2)}, "intrinsics_px": [], "sensor_from_vehicle": []}}', "twice"),
+    ],
+)
+def test_other_texts_are_no_image_list(
+    archive: Path, content: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What names anything but images is wrong usage, and the message quotes it."""
+    listing = archive.parent / "images.txt"
+    listing.write_text(content)
+    assert main(["validate", str(archive), "--images", str(listing)]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_image_lists_of_other_editors_are_read(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A byte order mark, Windows line ends, blanks and empty lines do not matter."""
+    listing = archive.parent / "images.txt"
+    listing.write_bytes(b"\xef\xbb\xbf" + f"{IMAGES[1]} \r\n\r\n{IMAGES[0]}\r\n".encode())
+    assert main(["validate", str(archive), "--images", str(listing)]) == 0
+    assert capsys.readouterr().out.endswith("valid, 1 box in 2 of 2 images.\n")
+
+
+def test_a_refused_archive_is_not_said_to_have_no_images(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """When the framing is refused, nothing was counted, and no number pretends it was."""
+    archive.write_bytes(archive.read_bytes() + b"more")
+    listing = archive.parent / "images.txt"
+    listing.write_text("\n".join(IMAGES))
+    assert main(["validate", str(archive), "--images", str(listing)]) == 1
+    printed = capsys.readouterr().out
+    assert printed.endswith(f"{archive}: not valid, nothing in it was read.\n")
+    assert "0 of 0" not in printed
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path, options: list[str]) -> None:
+    """When nobody reads the output any more, as behind `| head -1`, the command ends quietly with status 0."""
+    boxes = [box(label='"van"')] * 900
+    (tmp_path / f"{IMAGES[0]}_pred.json").write_bytes(document(*boxes))
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "client.main", "validate", str(tmp_path), *options]
+    ended = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, cwd=ROOT, check=False)
+    os.close(writing)
+    assert (ended.returncode, ended.stderr) == (0, b"")
