@@ -157,6 +157,7 @@ class Attempt:
             scores_sha256=kept["scores.json"][0],
             statistics_sha256=kept["statistics"][0],
             integrity=msgspec.json.decode((self.folder / "integrity.json").read_bytes(), type=IntegrityAudit),
+            replicates=(self.folder / "replicates").read_bytes() or None,
         )
 
         def write(session: Session) -> None:

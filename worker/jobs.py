@@ -10,6 +10,7 @@ from typing import Literal
 
 import msgspec
 
+from evaluator.errors import UsageError
 from evaluator.evaluation import evaluate, signature_of
 from evaluator.ground_truth import GroundTruth, ImageList
 from evaluator.intake import read_predictions
@@ -17,6 +18,7 @@ from evaluator.integrity import IntegrityAudit, audit
 from evaluator.predictions import Predictions
 from evaluator.protocol import PROTOCOLS
 from evaluator.results import Scores
+from evaluator.score_replicates import score_replicates
 from evaluator.sharding import evaluate_shard, reduce_shards, shard_from_bytes, shard_to_bytes
 from evaluator.statistics import Statistics
 from worker.messages import (
@@ -114,6 +116,15 @@ def _write_results(folder: Path, scores: Scores, statistics: Statistics, integri
     (folder / "scores.json").write_bytes(msgspec.json.encode(scores))
     (folder / "statistics").write_bytes(statistics.to_bytes())
     (folder / "integrity.json").write_bytes(msgspec.json.encode(integrity))
+    (folder / "replicates").write_bytes(_replicates(statistics))
+
+
+def _replicates(statistics: Statistics) -> bytes:
+    """Resample the images for the leaderboard; nothing when there are too few of them."""
+    try:
+        return score_replicates(statistics).to_bytes()
+    except UsageError:
+        return b""
 
 
 def _reporter(stage: Literal["validating", "scoring"], send: Send) -> Callable[[int, int], None]:
