@@ -31,6 +31,9 @@ from server.models import (
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 """The time every member of a canonical zip carries, so that equal files give equal bytes."""
 
+MOST_SHARDS = 64
+"""More would each be too small to be worth a message; a constraint of the table holds the same number."""
+
 
 def create_benchmark(session: Session, *, slug: str, title: str, description: str = "", actor: str) -> Benchmark:
     """Create a benchmark without phases.
@@ -69,6 +72,7 @@ def create_phase(
     submissions_per_day: int = 10,
     rejections_per_day: int = 50,
     max_attempts: int = 3,
+    shards: int = 1,
 ) -> Phase:
     """Create a phase; it takes submissions once it has ground truth.
 
@@ -97,12 +101,32 @@ def create_phase(
         submissions_per_day=submissions_per_day,
         rejections_per_day=rejections_per_day,
         max_attempts=max_attempts,
+        shards=checked_shards(shards),
         created_at=database.now(session),
     )
     session.add(phase)
     session.flush()
     audit.record(session, actor=actor, action="phase.created", subject=audit.subject_of(phase), slug=slug)
     return phase
+
+
+def set_shards(session: Session, phase: Phase, shards: int, *, actor: str) -> None:
+    """Choose into how many ranges of images the submissions of a phase are divided from their next claim on.
+
+    Raises:
+        InvalidField: The number is out of range.
+    """
+    phase.shards = checked_shards(shards)
+    session.flush()
+    audit.record(session, actor=actor, action="phase.shards_set", subject=audit.subject_of(phase), shards=shards)
+
+
+def checked_shards(shards: int) -> int:
+    """Give the number of shards back when a phase may have it."""
+    if not 1 <= shards <= MOST_SHARDS:
+        message = f"shards must be from 1 (submissions are scored in one piece) to {MOST_SHARDS}"
+        raise InvalidField(message)
+    return shards
 
 
 def find_benchmark(session: Session, slug: str) -> Benchmark:

@@ -95,13 +95,13 @@ class ShardedAttempt(Attempt):
         while True:
             standing = patiently(self.services, lambda session: shards.standing(session, self.held), reads_only=True)
             self.progress = Progress(stage="scoring", done=standing.images_done, total=standing.images_total)
+            self._heartbeat_when_due()
             if standing.failure:
                 self._give_up(*standing.failure)
                 return None
             if standing.complete:
                 return standing.digests
             self._work_on_one(sandbox)
-            self._heartbeat_when_due()
 
     def _work_on_one(self, sandbox: Sandbox) -> None:
         """Work on a shard that waits, or wait a moment when others hold all that remain."""

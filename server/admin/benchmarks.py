@@ -11,6 +11,8 @@ from server import benchmarks as record
 from server.admin.command import Outcome, Subparsers, actor, add
 from server.services import Services
 
+SHARDS_HELP = "ranges of images that several workers match at once; 1: submissions are scored in one piece"
+
 
 def add_commands(subparsers: Subparsers) -> None:
     """Add this module's commands."""
@@ -28,10 +30,14 @@ def add_commands(subparsers: Subparsers) -> None:
     phase.add_argument("--submissions-per-day", type=int, default=10, metavar="N")
     phase.add_argument("--rejections-per-day", type=int, default=50, metavar="N")
     phase.add_argument("--max-attempts", type=int, default=3, metavar="N", help="workers lost before one fails")
+    phase.add_argument("--shards", type=int, default=1, metavar="N", help=SHARDS_HELP)
     phase.add_argument("--protocol", choices=sorted(PROTOCOLS), default=CITYSCAPES3D.name)
     ground_truth = add(subparsers, "import-ground-truth", import_ground_truth)
     _add_phase(ground_truth)
     ground_truth.add_argument("source", type=Path, help="folder or zip of <city>_<sequence>_<frame>_gtBbox3d.json")
+    shards = add(subparsers, "set-shards", set_shards)
+    _add_phase(shards)
+    shards.add_argument("shards", type=int, help=SHARDS_HELP)
     grant = add(subparsers, "grant", grant_quota)
     _add_phase(grant)
     grant.add_argument("team")
@@ -83,11 +89,22 @@ def create_phase(args: argparse.Namespace, services: Services) -> Outcome:
             submissions_per_day=args.submissions_per_day,
             rejections_per_day=args.rejections_per_day,
             max_attempts=args.max_attempts,
+            shards=args.shards,
             actor=actor(),
         )
         data = {"id": phase.id, "benchmark": args.benchmark, "phase": phase.slug, "protocol": phase.protocol}
     place = f"{args.benchmark} {args.phase}"
     return Outcome(data=data, text=f"Created phase {args.phase}. Next: cs3d-admin import-ground-truth {place} FOLDER")
+
+
+def set_shards(args: argparse.Namespace, services: Services) -> Outcome:
+    """Choose into how many ranges of images the submissions of a phase are divided."""
+    with services.transaction() as session:
+        phase = record.find_phase(session, args.benchmark, args.phase)
+        record.set_shards(session, phase, args.shards, actor=actor())
+    data = {"benchmark": args.benchmark, "phase": args.phase, "shards": args.shards}
+    text = f"Submissions to {args.benchmark}/{args.phase} are scored in {args.shards} shards from their next claim on."
+    return Outcome(data=data, text=text)
 
 
 def import_ground_truth(args: argparse.Namespace, services: Services) -> Outcome:

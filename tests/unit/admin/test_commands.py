@@ -122,6 +122,18 @@ def test_phases_keep_their_rules(admin: Admin, services: Services) -> None:
         assert phase.closes_at.isoformat() == "2030-01-02T03:04:00+00:00"
 
 
+def test_phases_keep_their_number_of_shards(admin: Admin, services: Services, data_dir: Path) -> None:
+    """`create-phase --shards` chooses it, `set-shards` another one; a number that cannot be changes nothing."""
+    admin("create-benchmark", "cs3d", "--title", "Cityscapes 3D")
+    admin("create-phase", "cs3d", "test", "--title", "Test", "--shards", "4")
+    with services.snapshot() as session:
+        assert benchmarks.find_phase(session, "cs3d", "test").shards == 4
+    admin("set-shards", "cs3d", "test", "2")
+    assert main(["set-shards", "cs3d", "test", "65", "--data-dir", str(data_dir)]) == 1
+    with services.snapshot() as session:
+        assert benchmarks.find_phase(session, "cs3d", "test").shards == 2
+
+
 @pytest.mark.parametrize("packed", [True, False], ids=["zip", "folder"])
 def test_ground_truth_comes_as_a_folder_or_a_zip(admin: Admin, tmp_path: Path, *, packed: bool) -> None:
     """Both forms give the same version, which is in force at once."""
