@@ -2,7 +2,8 @@
 
     python _measure.py WHAT GROUND_TRUTH_ARRAYS PREDICTIONS_ZIP RESULT_FILE
 
-WHAT is `floor` (inflate and typed JSON decode alone), `one` or `two` (processes). Prints JSON: best and median seconds
+WHAT is `zipfile` or `isal` (a floor: inflate and typed JSON decode alone, by Python's own zip reader or by ours), or
+`one` or `two` (processes of the evaluator). Prints JSON: best and median seconds
 of several runs, the best processor seconds (of all processes together; what a busy machine disturbs least), and the
 peak memory of this process and its children in MB.
 """
@@ -13,6 +14,7 @@ import resource
 import statistics
 import sys
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,8 +30,17 @@ from evaluator.protocol import CITYSCAPES3D
 RUNS = 7
 
 
-def floor(source: Path) -> None:
-    """Inflate every member and decode it into typed records; keep nothing."""
+def zipfile_floor(source: Path) -> None:
+    """Inflate every member with the standard library and decode it into typed records; keep nothing."""
+    gc.disable()
+    with zipfile.ZipFile(source) as archive:
+        for info in archive.infolist():
+            decode(archive.read(info))
+    gc.enable()
+
+
+def isal_floor(source: Path) -> None:
+    """Inflate every member as the evaluator does and decode it into typed records; keep nothing."""
     gc.disable()
     with open_source(source, DEFAULT_LIMITS, Findings()) as files:
         if files is None:
@@ -65,7 +76,8 @@ def main() -> None:
             raise SystemExit(f"the workload is refused: {result.report}")
         Path(result_file).write_text(json.dumps(cityscapes_results(result.scores)), encoding="utf-8")
 
-    work: Callable[[], None] = evaluated if what != "floor" else lambda: floor(source)
+    floors: dict[str, Callable[[Path], None]] = {"zipfile": zipfile_floor, "isal": isal_floor}
+    work: Callable[[], None] = (lambda: floors[what](source)) if what in floors else evaluated
     seconds, processor_seconds = [], []
     for _ in range(RUNS):
         start, processor_start = time.perf_counter(), _processor_s()

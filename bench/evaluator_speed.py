@@ -2,10 +2,13 @@
 
     python bench/evaluator_speed.py [--images=1525] [--boxes=30,100] [--without-reference]
 
-The workload is synthetic (evaluator/synthetic) and seeded: 1525 images with about 13,000 ground-truth boxes, 30 and
-100 predictions for each image. Timed is the way from the zip's bytes to finished results with the ground truth
-prepared; the reference reads the same files from a folder. Also measured: the floor (inflate and typed JSON decode
-alone), peak memory, growth of the cost with the boxes, attacks on the cost, and the whole command from a cold start.
+The workloads are synthetic (evaluator/synthetic) and seeded: 1525 images with about 13,000 ground-truth boxes, 30 and
+100 predictions for each image. Each comes twice: realistic, where most boxes are cars and most scores low, and even,
+where scores and the classes of unlikely boxes are drawn evenly; the reference takes longer for the latter, for it
+looks at every class with an active prediction at every threshold. Timed is the way from the zip's bytes to finished
+results with the ground truth prepared; the reference reads the same files from a folder. Also measured: the floor
+(inflate and typed JSON decode alone) with Python's own zip reader and with the one used here, peak memory, growth of
+the cost with the boxes, attacks on the cost, and the whole command from a cold start.
 """
 
 import argparse
@@ -25,7 +28,8 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from evaluator.evaluation import evaluate  # noqa: E402 - the path is set above
+from bench._workload import GROUND_TRUTH_SEED, PREDICTION_SEED, spread_evenly  # noqa: E402 - the path is set above
+from evaluator.evaluation import evaluate  # noqa: E402 - likewise
 from evaluator.ground_truth import GroundTruth, read_ground_truth  # noqa: E402 - likewise
 from evaluator.predictions import Predictions  # noqa: E402 - likewise
 from evaluator.protocol import EVALUATED_LABELS  # noqa: E402 - likewise
@@ -38,8 +42,13 @@ from evaluator.synthetic import (  # noqa: E402 - likewise
 from tests.reference.process import reference_python  # noqa: E402 - likewise
 from tests.results_comparison import differences  # noqa: E402 - likewise
 
-GROUND_TRUTH_SEED, PREDICTION_SEED = 1, 2
 HERE = Path(__file__).parent
+_TITLES = {
+    "zipfile": "floor: zipfile, typed decode",
+    "isal": "floor: own zip reader with isal, same",
+    "one": "ours, one process",
+    "two": "ours, two processes",
+}
 
 
 def main() -> int:
@@ -57,36 +66,36 @@ def main() -> int:
         (folder / "gt.arrays").write_bytes(ground_truth.to_bytes())
         print(f"{args.images} images, {len(ground_truth)} ground-truth boxes, {os.cpu_count()} processors")
         python = None if args.without_reference else reference_python()
-        equal = [_compare(folder, files, boxes, python) for boxes in args.boxes]
-        _command(folder, args.boxes[0])
+        equal = []
+        for boxes in args.boxes:
+            predictions = synthesize_predictions(files, QUALITIES[0], PREDICTION_SEED, boxes)
+            equal.append(_compare(folder, predictions, f"{boxes} predictions per image, realistic", python))
+            equal.append(_compare(folder, spread_evenly(predictions), f"{boxes} predictions per image, even", python))
+        _command(folder, folder / f"{args.boxes[0]} predictions per image, realistic.zip")
         _growth(files)
         _attacks(ground_truth)
     return 0 if all(equal) else 1
 
 
-def _compare(folder: Path, files: dict[str, bytes], boxes: int, python: Path | None) -> bool:
+def _compare(folder: Path, predictions: dict[str, bytes], title: str, python: Path | None) -> bool:
     """Measure one workload; return whether the results agree with the reference's."""
-    predictions = synthesize_predictions(files, QUALITIES[0], PREDICTION_SEED, boxes)
-    path = folder / f"{boxes}.zip"
+    path = folder / f"{title}.zip"
     write_zip(predictions, path)
     size = sum(map(len, predictions.values())) / 1e6
-    print(f"\n{boxes} predictions per image: {size:.0f} MB of JSON, {path.stat().st_size / 1e6:.0f} MB zip")
-    measured = {what: _measure(what, folder, path) for what in ("floor", "one", "two")}
+    print(f"\n{title}: {size:.0f} MB of JSON, {path.stat().st_size / 1e6:.0f} MB zip", flush=True)
+    measured = {what: _measure(what, folder, path) for what in _TITLES}
     reference, expected = ((0.0, 0.0), None) if python is None else _reference(folder, path, python)
-    print(f"  {'':20} seconds  median  processor  x floor  peak MB  x reference, by seconds (by processor)")
+    print(f"  {'':36} seconds  median  processor  x zipfile  x isal  peak MB  x reference, by seconds (by processor)")
     if python is not None:
-        print(f"  {'reference':20} {reference[0]:7.2f}          {reference[1]:9.2f}")
-    for what, title in (("floor", "floor"), ("one", "ours, one process"), ("two", "ours, two processes")):
+        print(f"  {'reference':36} {reference[0]:7.2f}          {reference[1]:9.2f}")
+    for what, line in _TITLES.items():
         values = measured[what]
-        seconds, processor_s = values["best_s"], values["processor_s"]
-        faster = (
-            f"{reference[0] / seconds:6.0f} ({reference[1] / processor_s:.0f})"
-            if reference[0] and what != "floor"
-            else ""
-        )
+        processor_s = values["processor_s"]
+        floors = [processor_s / measured[floor]["processor_s"] for floor in ("zipfile", "isal")]
+        faster = f"{reference[0] / values['best_s']:6.0f} ({reference[1] / processor_s:.0f})" if reference[0] else ""
         print(
-            f"  {title:20} {seconds:7.3f} {values['median_s']:7.3f}  {processor_s:9.3f}"
-            f"  {processor_s / measured['floor']['processor_s']:7.2f}  {values['peak_mb']:7.0f}  {faster}"
+            f"  {line:36} {values['best_s']:7.3f} {values['median_s']:7.3f}  {processor_s:9.3f}"
+            f"  {floors[0]:9.2f}  {floors[1]:6.2f}  {values['peak_mb']:7.0f}  {faster}"
         )
     if expected is None:
         return True
@@ -137,7 +146,7 @@ def _reference(folder: Path, path: Path, python: Path) -> tuple[tuple[float, flo
     return (seconds, processor_s), json.loads(result.read_text())
 
 
-def _command(folder: Path, boxes: int) -> None:
+def _command(folder: Path, predictions: Path) -> None:
     """Time the whole command from a cold start: imports, reading the ground truth's zip, everything."""
     command: list[str | Path] = [
         sys.executable,
@@ -146,7 +155,7 @@ def _command(folder: Path, boxes: int) -> None:
         "evaluate",
         "--gt",
         folder / "gt.zip",
-        folder / f"{boxes}.zip",
+        predictions,
     ]
     seconds = []
     for _ in range(5):
@@ -155,7 +164,7 @@ def _command(folder: Path, boxes: int) -> None:
             command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True, preexec_fn=_pin
         )
         seconds.append(time.perf_counter() - start)
-    print(f"\ncs3d evaluate, cold, one processor, {boxes} per image: {min(seconds):.2f} s")
+    print(f"\ncs3d evaluate, cold, one processor, {predictions.stem}: {min(seconds):.2f} s")
 
 
 def _growth(files: dict[str, bytes]) -> None:

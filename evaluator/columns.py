@@ -47,7 +47,7 @@ class Columns:
         keep = self.label_index < count
         if keep.all():
             return self
-        return Columns(**{name: getattr(self, name)[keep] for name in Columns.__slots__})
+        return Columns(**{name: getattr(self, name).compress(keep, axis=0) for name in Columns.__slots__})
 
 
 class ColumnBuilder:

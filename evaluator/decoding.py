@@ -51,6 +51,8 @@ _TYPED = msgspec.json.Decoder(Document)
 _UNTYPED = msgspec.json.Decoder()
 _KEYS_PER_BOX = 8
 """2d, 3d, label, score, amodal, center, dimensions, rotation; modal is optional."""
+_ARRAYS = {"2d": ("amodal", "modal"), "3d": ("center", "dimensions", "rotation")}
+"""The keys whose values are arrays of numbers, which typed decoding has made sure of."""
 _CITYPERSONS_KEYS = {"bbox", "bboxVis"}
 
 
@@ -95,7 +97,7 @@ def keys_are_expected(*, colons: int, files: int, boxes: int, modal: int) -> boo
 
 
 def extra_keys_are_clean(data: bytes, depth_limit: int) -> bool:
-    """Prove for a file with keys of its own that none stands twice and that the rest is sound JSON, too.
+    """Prove for a file with keys of its own, taken by `decode`, that none stands twice and the rest is sound JSON, too.
 
     The typed decoder skips what it does not know; here everything is decoded, and there must be as many colons as
     keys that survived. A colon inside a string only leads to the slow path.
@@ -107,14 +109,27 @@ def extra_keys_are_clean(data: bytes, depth_limit: int) -> bool:
 
 
 def _all_keys_survive(data: bytes, depth_limit: int) -> bool:
-    """Compare the keys of the decoded document, level by level, with the colons of its text."""
-    level: list[Any] = [_UNTYPED.decode(data)]
+    """Compare the keys of the decoded document with the colons of its text."""
+    document = _UNTYPED.decode(data)
+    boxes = document.pop("objects")
+    keys, parts = 1, []
+    for name, arrays in _ARRAYS.items():
+        part = [box.pop(name) for box in boxes]
+        keys += len(part) + sum(values.pop(array, None) is not None for array in arrays for values in part)
+        parts += part
+    # What is left was not looked at by type. Boxes are inside a document and an array, their parts one step deeper.
+    rest = [_count_keys(level, depth_limit - outer) for level, outer in (([document], 0), (boxes, 2), (parts, 3))]
+    return None not in rest and keys + sum(filter(None, rest)) == count_colons(data)
+
+
+def _count_keys(level: list[Any], depth_limit: int) -> int | None:
+    """Count the keys of all objects inside each other; None when they are too deep or need a closer look."""
     keys = 0
     for _ in range(depth_limit):
         objects = [value for value in level if type(value) is dict]
         keys += sum(map(len, objects))
         if any(map(_CITYPERSONS_KEYS.issubset, objects)):
-            return False
+            return None
         arrays = [value for value in level if type(value) is list]
         level = [
             value
@@ -122,5 +137,5 @@ def _all_keys_survive(data: bytes, depth_limit: int) -> bool:
             if type(value) is dict or type(value) is list
         ]
         if not level:
-            return keys == data.count(b":")
-    return False
+            return keys
+    return None

@@ -106,14 +106,13 @@ def circumscribed_px(vertices_m: Float64Array, intrinsics_px: Float64Array) -> F
     Returns:
         (4, N) x_min, y_min, x_max, y_max in pixels, not clipped; zeros for a box wholly behind the near plane.
     """
-    cut = (vertices_m[2] <= NEAR_PLANE_M).any(axis=0)
-    if not cut.any():
-        return _pixels(_extremes(vertices_m, None), intrinsics_px)
-    boxes = np.empty((4, vertices_m.shape[2]))
-    boxes[:, ~cut] = _pixels(_extremes(vertices_m[:, :, ~cut], None), intrinsics_px[~cut])
-    points, visible = _cut_at_near_plane(vertices_m[:, :, cut])
-    in_image = _pixels(_extremes(points, visible), intrinsics_px[cut])
-    boxes[:, cut] = np.where(visible.any(axis=0), in_image, 0.0)
+    cut = np.flatnonzero((vertices_m[2] <= NEAR_PLANE_M).any(axis=0))
+    with np.errstate(all="ignore"):  # a vertex of these may have depth 0; their boxes are replaced
+        boxes = _pixels(_extremes(vertices_m, None), intrinsics_px)
+    if len(cut):
+        points, visible = _cut_at_near_plane(vertices_m[:, :, cut])
+        in_image = _pixels(_extremes(points, visible), intrinsics_px[cut])
+        boxes[:, cut] = np.where(visible.any(axis=0), in_image, 0.0)
     return boxes
 
 
