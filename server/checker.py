@@ -22,7 +22,7 @@ from evaluator.ground_truth import GroundTruth, read_ground_truth
 from evaluator.intake import read_predictions
 from evaluator.protocol import EVALUATOR_VERSION, PROTOCOLS
 from evaluator.results import Scores
-from server import database, quota, ranking
+from server import database, quota, ranking, rescoring_checks
 from server.blobs import digest_file, known_digests
 from server.errors import NotFound
 from server.lifecycle import TRANSITIONS
@@ -41,6 +41,7 @@ from server.models import (
     Submission,
     SubmissionState,
 )
+from server.rescoring_checks import made_again
 from server.services import Services
 
 
@@ -177,8 +178,9 @@ def shards_are_of_running_attempts(services: Services, session: Session) -> Foun
 
 
 def scores_belong_to_scored(services: Services, session: Session) -> Found:
-    """A submission has scores exactly when it is scored, each on ground truth of its phase, by an attempt that scored."""
+    """A submission has scores exactly when it is scored, each on its phase's ground truth, by an attempt that scored."""
     del services
+    again = made_again(session)
     scored_attempts = {
         (row.submission_id, row.number)
         for row in session.scalars(sa.select(Attempt).where(Attempt.outcome == AttemptOutcome.SCORED))
@@ -187,7 +189,7 @@ def scores_belong_to_scored(services: Services, session: Session) -> Found:
     for score in session.scalars(sa.select(Score)):
         counts[score.submission_id] += 1
         subject = f"score:{score.id}"
-        if (score.submission_id, score.attempt) not in scored_attempts:
+        if score.id not in again and (score.submission_id, score.attempt) not in scored_attempts:
             yield subject, f"comes from attempt {score.attempt}, which did not score"
         if score.ground_truth.phase_id != score.submission.phase_id:
             yield subject, "is on another phase's ground truth"
@@ -368,6 +370,7 @@ CHEAP_RULES: tuple[Callable[[Services, Session], Found], ...] = (
     no_quota_was_overrun,
     owners_match,
     leaderboards_are_sorted,
+    *rescoring_checks.RULES,
 )
 """Rows, the list of blobs and nothing else."""
 

@@ -69,7 +69,10 @@ DAMAGES: dict[str, tuple[Callable[[Installation], None], str]] = {
     "lost blob": (_lose_blob, "every_row_has_its_blob"),
     "changed bytes": (_damage_blob, "every_blob_is_what_its_name_says"),
     "changed score": (lambda i: _execute(i, "UPDATE score SET mds = mds / 2"), "scores_are_reproducible"),
-    "lost score": (lambda i: _execute(i, "DELETE FROM score"), "scores_belong_to_scored"),
+    "lost score": (
+        lambda i: _execute(i, "DELETE FROM score_replicates", "DELETE FROM score"),
+        "scores_belong_to_scored",
+    ),
     "second refund": (
         lambda i: _execute(
             i,
