@@ -21,6 +21,7 @@ log = structlog.get_logger(__name__)
 EVALUATE_TASK = "cs3d.evaluate"
 SHARD_TASK = "cs3d.shard"
 SWEEP_TASK = "cs3d.sweep"
+FILE_SWEEP_TASK = "cs3d.sweep_files"
 RESCORE_TASK = "cs3d.rescore"
 QUEUE_NAME = "cs3d"
 

@@ -18,7 +18,15 @@ from celery import signals
 
 from server import sweeper
 from server.errors import ServerError
-from server.queue import EVALUATE_TASK, RESCORE_TASK, SHARD_TASK, SWEEP_TASK, celery_app
+from server.queue import (
+    EVALUATE_TASK,
+    FILE_SWEEP_TASK,
+    PRIORITY_NORMAL,
+    RESCORE_TASK,
+    SHARD_TASK,
+    SWEEP_TASK,
+    celery_app,
+)
 from server.services import Services
 from server.settings import Settings
 from worker import acknowledging
@@ -86,6 +94,18 @@ def sweep() -> None:
         log.warning("sweep_failed", error=repr(error))
 
 
+@app.task(name=FILE_SWEEP_TASK)
+def sweep_files() -> None:
+    """Delete files that belong to nobody. Never in the main process: a bucket's client leaves threads, which a fork loses.
+
+    A pool process that replaced another one would wait for them for ever.
+    """
+    try:
+        sweeper.sweep_files(_process(os.getpid()).services)
+    except ServerError as error:
+        log.warning("sweep_failed", error=repr(error))
+
+
 class _Sweeping(threading.Thread):
     """Sweeps in the worker's main process, from its start to its end."""
 
@@ -101,7 +121,7 @@ class _Sweeping(threading.Thread):
             try:
                 sweeper.sweep(services)
                 if passes % SWEEPS_PER_FILE_SWEEP == 0:
-                    sweeper.sweep_files(services)
+                    sweep_files.apply_async(priority=PRIORITY_NORMAL)
             except Exception as error:  # noqa: BLE001 - a database or broker that is away comes back
                 log.warning("sweep_failed", error=repr(error))
             passes += 1
