@@ -11,7 +11,7 @@ from evaluator.predictions import Float64Array, IndexArray, Predictions
 from evaluator.record_table import encode_rows, floats, letter_codes, make_table
 from evaluator.value_ranges import Mask, rows_to_explain
 
-_RECORDS_IN_CACHE = 512
+_RECORDS_IN_CACHE = 256
 """Records turned into rows at a time: as many as stay in the processor's cache since they were decoded."""
 
 

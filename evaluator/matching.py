@@ -126,7 +126,7 @@ def _overlapping_pairs(
     for rows in pairs_within_groups(*groups):
         possible = _side_by_side(gt_boxes, prediction_boxes, *rows, above_iou)
         gt_row, prediction_row = rows[0][possible], rows[1][possible]
-        iou = intersections_over_unions(gt_boxes[:, gt_row], prediction_boxes[:, prediction_row])
+        iou = intersections_over_unions(gt_boxes.take(gt_row, axis=1), prediction_boxes.take(prediction_row, axis=1))
         pairs = Pairs(gt_row, prediction_row, iou)
         found.append(pairs[iou > above_iou])
     return Pairs(
@@ -169,8 +169,8 @@ def _side_by_side(
 
     The intersection is at most as high as either box, so the IoU is at most the shared width over the greater width.
     """
-    gt_left, gt_right = gt_boxes[0, gt_row], gt_boxes[2, gt_row]
-    left, right = prediction_boxes[0, prediction_row], prediction_boxes[2, prediction_row]
+    gt_left, gt_right = (edges.take(gt_row) for edges in gt_boxes[[0, 2]])
+    left, right = (edges.take(prediction_row) for edges in prediction_boxes[[0, 2]])
     shared_width = np.minimum(gt_right, right) - np.maximum(gt_left, left) + 1
     width = np.maximum(gt_right - gt_left, right - left) + 1
     return np.asarray((shared_width > 0) & (shared_width >= (above_iou - ROUNDING) * width))
@@ -230,6 +230,6 @@ def _inside_ignore_region(
     boxes, regions = corners_px(predictions.modal_px[tested]), corners_px(ground_truth.ignore_px)
     groups = predictions.image_index[tested], ground_truth.ignore_image_index
     for row, region in pairs_within_groups(*groups):
-        covered = covered_fractions(regions[:, region], boxes[:, row]) > protocol.min_iou
+        covered = covered_fractions(regions.take(region, axis=1), boxes.take(row, axis=1)) > protocol.min_iou
         inside[tested[row[covered]]] = True
     return inside

@@ -54,16 +54,16 @@ def projected_corners_px(
         beside the image collapses to a line on the border.
     """
     boxes = np.empty((4, len(center_m)))
-    # One row for each number of a camera: views of these, turned back below, stay fast to calculate with.
+    # One row for each number of a camera, and `take` keeps it so: views of rows are fast to calculate with.
     cameras = np.ascontiguousarray(sensor_from_vehicle.transpose(1, 2, 0))
     intrinsics = np.ascontiguousarray(intrinsics_px.T)
     for start in range(0, len(center_m), BLOCK):
         block = slice(start, start + BLOCK)
         camera = camera_index[block]
         vertices = vertices_in_camera_m(
-            center_m[block], dimensions_m[block], rotation[block], cameras[:, :, camera].transpose(2, 0, 1)
+            center_m[block], dimensions_m[block], rotation[block], cameras.take(camera, axis=2).transpose(2, 0, 1)
         )
-        boxes[:, block] = circumscribed_px(vertices, intrinsics[:, camera].T)
+        boxes[:, block] = circumscribed_px(vertices, intrinsics.take(camera, axis=1).T)
     return clipped_to_image(boxes) if clip else boxes
 
 

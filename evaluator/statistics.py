@@ -122,9 +122,9 @@ def collect(ground_truth: GroundTruth, predictions: Predictions, matches: Matche
         pair_masks=matches.pair_thresholds,
         pair_score=predictions.score[prediction_row],
         pair_similarities=pair_similarities(
-            (ground_truth.center_m[gt_row], predictions.center_m[prediction_row]),
-            (ground_truth.dimensions_m[gt_row], predictions.dimensions_m[prediction_row]),
-            (ground_truth.rotation[gt_row], predictions.rotation[prediction_row]),
+            (ground_truth.center_m.take(gt_row, axis=0), predictions.center_m.take(prediction_row, axis=0)),
+            (ground_truth.dimensions_m.take(gt_row, axis=0), predictions.dimensions_m.take(prediction_row, axis=0)),
+            (ground_truth.rotation.take(gt_row, axis=0), predictions.rotation.take(prediction_row, axis=0)),
             float(protocol.max_depth_m),
         ),
         false_positive_image=predictions.image_index[wrong],
