@@ -96,11 +96,24 @@ class SubmissionList(msgspec.Struct, frozen=True, kw_only=True):
     submissions: list[SubmissionSummary]
 
 
+class ScoreEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """One score of a submission; none is ever changed or taken away."""
+
+    id: int
+    mds: float | None
+    signature_text: str
+    created_at: datetime
+    ranks: bool
+    """True for the one under the protocol, evaluator and ground truth in force."""
+
+
 class ResultsDocument(Scores, frozen=True, kw_only=True):
-    """All scores of a submission, with the signature that makes them reproducible."""
+    """All numbers of one score of a submission, with the signature that makes them reproducible."""
 
     signature_text: str
     """The signature on one line, for citing."""
+    history: list[ScoreEntry]
+    """Every score of the submission, oldest first; `?score=<id>` gives the numbers of another one."""
 
 
 class ClassSummary(msgspec.Struct, frozen=True, kw_only=True):

@@ -9,9 +9,9 @@ from evaluator.report import Report
 from evaluator.results import Scores
 from server.api import documents
 from server.blobs import Blobs
-from server.errors import NotScored
-from server.models import Benchmark, Blob, Phase, Submission, SubmissionState
-from server.ranking import Leaderboard, LeaderboardRow, ranking_score
+from server.errors import NotFound, NotScored
+from server.models import Benchmark, Blob, Phase, Score, Submission, SubmissionState
+from server.ranking import Leaderboard, LeaderboardRow, history, ranking_score
 
 
 def links_of(submission: Submission) -> documents.Links:
@@ -85,22 +85,51 @@ def integrity_of(submission: Submission) -> IntegrityAudit | None:
     return msgspec.convert(score.integrity, IntegrityAudit) if score and score.integrity else None
 
 
-def scores_of(submission: Submission, blobs: Blobs) -> Scores:
-    """Read the scores a submission is shown with.
+def scores_of(submission: Submission, blobs: Blobs, score_id: int | None = None) -> Scores:
+    """Read the scores a submission is shown with, or those of another score in its history.
 
     Raises:
         NotScored: There are none (yet).
+        NotFound: It has no such score.
     """
     score = ranking_score(submission) if submission.state is SubmissionState.SCORED else None
     if score is None:
         raise NotScored(f"submission {submission.id} is {submission.state.value}; it has no scores")
+    if score_id is not None:
+        score = next((one for one in shown_scores(submission) if one.id == score_id), None)
+    if score is None:
+        raise NotFound(f"submission {submission.id} has no score {score_id}; its results list them as `history`")
     return msgspec.json.decode(blobs.read(score.scores_sha256), type=Scores)
 
 
-def results_document(scores: Scores) -> documents.ResultsDocument:
-    """Put the printable signature beside the scores."""
+def shown_scores(submission: Submission) -> list[Score]:
+    """List every score of a submission that anybody is shown, oldest first."""
+    shown = {score.id: score for score in history(submission)}
+    if (score := ranking_score(submission)) is not None:
+        shown[score.id] = score
+    return [shown[key] for key in sorted(shown)]
+
+
+def history_of(submission: Submission) -> list[documents.ScoreEntry]:
+    """Describe every score of a submission, oldest first; at most one of them ranks."""
+    ranking = ranking_score(submission)
+    in_force = (submission.phase.protocol, submission.phase.ground_truth_id)
+    return [
+        documents.ScoreEntry(
+            id=score.id,
+            mds=score.mds,
+            signature_text=str(msgspec.convert(score.summary["signature"], Signature)),
+            created_at=score.created_at,
+            ranks=score is ranking and (score.protocol, score.ground_truth_id) == in_force,
+        )
+        for score in shown_scores(submission)
+    ]
+
+
+def results_document(scores: Scores, history: list[documents.ScoreEntry]) -> documents.ResultsDocument:
+    """Put the printable signature and the submission's other scores beside the numbers."""
     fields = {name: getattr(scores, name) for name in scores.__struct_fields__}
-    return documents.ResultsDocument(**fields, signature_text=str(scores.signature))
+    return documents.ResultsDocument(**fields, signature_text=str(scores.signature), history=history)
 
 
 def leaderboard_document(board: Leaderboard) -> documents.LeaderboardDocument:

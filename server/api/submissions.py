@@ -153,6 +153,7 @@ async def follow_submission(submission_id: SubmissionId, web: WebDependency, ask
     responses=answers(
         *_ACCESS,
         NotScored,
+        errors.ValidationFailed,
         s200=document_answer(
             "Every number in full precision; undefined is null.",
             documents.ResultsDocument,
@@ -161,14 +162,23 @@ async def follow_submission(submission_id: SubmissionId, web: WebDependency, ask
         s304={"description": "Nothing changed since the version in If-None-Match."},
     ),
 )
-def show_results(request: Request, submission_id: SubmissionId, web: WebDependency, asker: Asker) -> Response:
-    """Give the scores with their signature."""
+def show_results(
+    request: Request,
+    submission_id: SubmissionId,
+    web: WebDependency,
+    asker: Asker,
+    *,
+    score: Annotated[int | None, Query(ge=1, lt=1 << 31, description="Another score in its history")] = None,
+) -> Response:
+    """Give the scores with their signature: those that rank, or others of its history."""
 
     def work(session: Session, identity: Identity | None) -> Response:
         submission, _ = visible(session, submission_id, identity)
-        scores = rendering.scores_of(submission, web.services.blobs)
-        etag = f'"{scores.signature}"'
-        document = rendering.results_document(scores)
+        scores = rendering.scores_of(submission, web.services.blobs, score)
+        history = rendering.history_of(submission)
+        versions = "".join(f"-{one.id}{'r' if one.ranks else ''}" for one in history)
+        etag = f'"{scores.signature}{versions}"'
+        document = rendering.results_document(scores, history)
         return not_modified(request, etag) or json_response(document, headers={"ETag": etag})
 
     return read(web, asker, work)

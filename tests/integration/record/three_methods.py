@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 from sqlalchemy.orm import Session
 
 from server import benchmarks, ranking, rescoring, submissions
@@ -135,4 +136,7 @@ def run(installation: Installation, monkeypatch: pytest.MonkeyPatch, *arguments:
     """Run `cs3d-admin` on an installation."""
     for name, value in installation.settings.environment().items():
         monkeypatch.setenv(name, value)
-    return main(arguments)
+    try:
+        return main(arguments)
+    finally:
+        structlog.reset_defaults()  # a command sends the log to standard error
