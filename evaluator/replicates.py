@@ -39,6 +39,8 @@ class Replicates:
     """(R, 6) over the classes with ground truth in the resample, in the order of `MEANS`."""
     working_point: Float64Array
     """(R, C) c_w."""
+    true_positives: Float64Array
+    """(R, C, B) in each depth bin at the working point."""
     depth_bins: Float64Array
     """(R, C, B, 5) in the order of `BIN_METRICS`; B is 0 unless depth bins are asked for."""
 
@@ -66,7 +68,7 @@ def replicate(statistics: Statistics, weights: Weighting, *, by_depth: bool = Fa
         depth_bins = np.concatenate([depth_ap[..., None], _bin_means(sums)], axis=-1)
     else:
         depth_bins = np.zeros((*ap.shape, 0, len(BIN_METRICS)))
-    return Replicates(classes, _mean_over_classes(classes), working_point, depth_bins)
+    return Replicates(classes, _mean_over_classes(classes), working_point, sums[..., -1], depth_bins)
 
 
 def _average_precision(statistics: Statistics, weights: Weighting) -> tuple[Float64Array, Float64Array]:

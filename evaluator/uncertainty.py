@@ -70,6 +70,8 @@ class Bootstrap:
     drawn: Replicates
     left_out: Replicates | None
     """With one unit left out at a time; None for percentile intervals, which need no jackknife."""
+    units: int
+    """How many images, sequences or cities were drawn from."""
 
 
 def bootstrap(
@@ -88,11 +90,12 @@ def bootstrap(
     """
     images = statistics.images
     weights = bootstrap_weights(images, resamples=resamples, seed=seed, unit=unit)
-    jackknife = leave_one_out(images, unit=unit) if method == "bca" else None
+    jackknife = leave_one_out(images, unit=unit)
     return Bootstrap(
         estimate=replicate(statistics, np.ones((1, len(images)), dtype=np.float32), by_depth=by_depth),
         drawn=replicate(statistics, weights, by_depth=by_depth),
-        left_out=None if jackknife is None else replicate(statistics, jackknife, by_depth=by_depth),
+        left_out=replicate(statistics, jackknife, by_depth=by_depth) if method == "bca" else None,
+        units=jackknife.units,
     )
 
 
@@ -143,7 +146,7 @@ def named_intervals(
     statistics: Statistics, found: Bootstrap, level: float
 ) -> tuple[NamedIntervals, dict[str, NamedIntervals], dict[str, tuple[NamedIntervals, ...]]]:
     """Return the intervals of a bootstrap as `Uncertainty` has them: means, classes, depth bins."""
-    known = sufficient(statistics, found.estimate)
+    known = sufficient(statistics, found.estimate, found.units)
     means, classes, bins = (_intervals(found, part, enough, level) for part, enough in zip(_PARTS, known, strict=True))
     return (
         _named(MEANS, means[None])[0],

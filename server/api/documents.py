@@ -138,6 +138,12 @@ class LeaderboardRow(msgspec.Struct, frozen=True, kw_only=True):
     team_name: str
     submission_id: str
     mds: float | None
+    mds_interval: tuple[float, float] | None
+    """95 % confidence interval of mDS over the images; null where too little is known for one."""
+    rank_interval: tuple[int, int] | None
+    """Best and worst rank at 95 % confidence; null for scores made before this was known."""
+    groups: str
+    """Letters: methods that share one cannot be told apart at 95 % confidence."""
     map: float | None
     mbevcd: float | None
     myaw_sim: float | None

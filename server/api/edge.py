@@ -1,7 +1,7 @@
 """What every endpoint shares: its services, JSON answers, conditional requests and OpenAPI's list of answers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -19,6 +19,7 @@ from server.api.spool import UploadGate
 from server.api.watch import Watch
 from server.charts import ChartStore
 from server.services import Services
+from server.standings import StandingsCache
 
 POLL_S = 2
 """Retry-After of a submission that is not done."""
@@ -34,6 +35,7 @@ class Web:
     watch: Watch
     polls: Polls
     charts: ChartStore
+    standings: StandingsCache = field(default_factory=StandingsCache)
 
 
 def attach(app: FastAPI, web: Web) -> None:

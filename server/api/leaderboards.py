@@ -22,6 +22,7 @@ router = APIRouter(tags=["leaderboards"])
 Slug = Annotated[str, Path(max_length=64)]
 
 _MEANS = ("mds", "map", "mbevcd", "myaw_sim", "mpr_sim", "msize_sim")
+_STANDING = ("mds_lower", "mds_upper", "rank_best", "rank_worst", "groups")
 _ROW = ("rank", "method", "method_name", "team", "team_name", "submission_id", "created_at", "signature")
 
 _NOT_MODIFIED = {"description": "Nothing changed since the version in If-None-Match."}
@@ -114,7 +115,7 @@ def show_leaderboard(
     def work(session: Session, identity: Identity | None) -> Response:
         del identity
         board = ranking.leaderboard(session, benchmarks.find_phase(session, benchmark, phase))
-        document = rendering.leaderboard_document(board)
+        document = rendering.leaderboard_document(board, web.standings.of(session, board.rows))
         if as_csv:
             name = f"{board.phase.benchmark.slug}-{board.phase.slug}.csv"
             return _public(request, csv_of(document), "text/csv", file_name=name)
@@ -129,12 +130,13 @@ def csv_of(document: documents.LeaderboardDocument) -> bytes:
     metrics = documents.ClassSummary.__struct_fields__
     text = io.StringIO()
     writer = csv.writer(text)
-    writer.writerow([*_ROW, *_MEANS, *(f"{label}_{metric}" for label in labels for metric in metrics)])
+    writer.writerow([*_ROW, *_MEANS, *(f"{label}_{metric}" for label in labels for metric in metrics), *_STANDING])
     for row in document.rows:
         facts = [_inert(str(value)) if value is not None else "" for value in map(row.__getattribute__, _ROW)]
         means = [row.__getattribute__(name) for name in _MEANS]
         classes = [getattr(row.classes[label], metric) for label in labels for metric in metrics]
-        writer.writerow([*facts, *means, *classes])
+        standing = [*(row.mds_interval or ("", "")), *(row.rank_interval or ("", "")), row.groups]
+        writer.writerow([*facts, *means, *classes, *standing])
     return text.getvalue().encode()
 
 

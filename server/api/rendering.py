@@ -1,5 +1,7 @@
 """Rows of the record as documents of the API."""
 
+import uuid
+
 import msgspec
 from sqlalchemy.orm import object_session
 
@@ -12,6 +14,7 @@ from server.blobs import Blobs
 from server.errors import NotFound, NotScored
 from server.models import Benchmark, Blob, Phase, Score, Submission, SubmissionState
 from server.ranking import Leaderboard, LeaderboardRow, history, ranking_score
+from server.standings import Standing
 
 
 def links_of(submission: Submission) -> documents.Links:
@@ -132,13 +135,13 @@ def results_document(scores: Scores, history: list[documents.ScoreEntry]) -> doc
     return documents.ResultsDocument(**fields, signature_text=str(scores.signature), history=history)
 
 
-def leaderboard_document(board: Leaderboard) -> documents.LeaderboardDocument:
+def leaderboard_document(board: Leaderboard, standings: dict[uuid.UUID, Standing]) -> documents.LeaderboardDocument:
     """Describe a ranking."""
     return documents.LeaderboardDocument(
         benchmark=board.phase.benchmark.slug,
         phase=board.phase.slug,
         protocol=board.phase.protocol,
-        rows=[_row(row) for row in board.rows],
+        rows=[_row(row, standings[row.submission.id]) for row in board.rows],
     )
 
 
@@ -190,7 +193,8 @@ def _phase(phase: Phase) -> documents.PhaseDocument:
     )
 
 
-def _row(row: LeaderboardRow) -> documents.LeaderboardRow:
+def _row(row: LeaderboardRow, standing: Standing) -> documents.LeaderboardRow:
+    interval = standing.interval
     means = {name: row.summary[name] for name in ("map", "mbevcd", "myaw_sim", "mpr_sim", "msize_sim")}
     return documents.LeaderboardRow(
         rank=row.rank,
@@ -200,6 +204,9 @@ def _row(row: LeaderboardRow) -> documents.LeaderboardRow:
         team_name=row.team.name,
         submission_id=str(row.submission.id),
         mds=row.mds,
+        mds_interval=None if interval is None else (interval.lower, interval.upper),
+        rank_interval=standing.ranks,
+        groups=standing.groups,
         **means,
         created_at=row.submission.created_at,
         signature=str(msgspec.convert(row.summary["signature"], Signature)),

@@ -4,7 +4,12 @@ from datetime import UTC, datetime
 
 from markupsafe import Markup
 
+from evaluator.confidence import Interval
+
 UNDEFINED = Markup('<span class="undefined">n/a</span>')
+
+SMALLEST_P_VALUE = 0.005
+"""A thousand resamples tell smaller ones apart only by chance."""
 
 _KIB = 1024
 
@@ -22,6 +27,31 @@ def heat(value: float | None) -> str:
 def signed(value: float | None, digits: int = 1) -> str | Markup:
     """Show a difference of scores in percentage points, with its sign."""
     return UNDEFINED if value is None else f"{100 * value:+.{digits}f}".replace("-", "−")
+
+
+def interval(value: Interval | None, digits: int = 1) -> str | Markup:
+    """Show the bounds of a score's confidence interval in percent."""
+    return UNDEFINED if value is None else f"{100 * value.lower:.{digits}f}–{100 * value.upper:.{digits}f}"
+
+
+def signed_interval(value: Interval | None, digits: int = 2) -> str | Markup:
+    """Show the bounds of a difference's confidence interval in percentage points."""
+    return UNDEFINED if value is None else f"{signed(value.lower, digits)} to {signed(value.upper, digits)}"
+
+
+def ranks(value: tuple[int, int] | None) -> str | Markup:
+    """Show between which ranks a method may stand."""
+    if value is None:
+        return UNDEFINED
+    best, worst = value
+    return str(best) if best == worst else f"{best}–{worst}"
+
+
+def p_value(value: float | None) -> str | Markup:
+    """Show a p-value; below what the resamples can tell, only the bound."""
+    if value is None:
+        return UNDEFINED
+    return f"{value:.3f}" if value >= SMALLEST_P_VALUE else f"< {SMALLEST_P_VALUE}"
 
 
 def when(value: datetime | None) -> str | Markup:
@@ -60,6 +90,10 @@ FILTERS = {
     "percent": percent,
     "heat": heat,
     "signed": signed,
+    "interval": interval,
+    "signed_interval": signed_interval,
+    "ranks": ranks,
+    "p_value": p_value,
     "when": when,
     "day": day,
     "size": size,

@@ -58,6 +58,7 @@ def leaderboard(benchmark: str, phase: str, visit: VisitDependency) -> Response:
             "view": view,
             "best": tables.best_values(board.rows, labels, view.metric),
             "protocol": PROTOCOLS.get(board.phase.protocol),
+            "standings": visit.web.standings.of(session, board.rows),
             "tables": tables,
         }
 
@@ -74,12 +75,15 @@ def compare(benchmark: str, phase: str, visit: VisitDependency) -> Response:
         query, rows = visit.request.query_params, board.rows
         named = {str(row.submission.id): row for row in rows}
         labels = tables.labels_of(rows)
+        left = named.get(query.get("a", ""), rows[0] if rows else None)
+        right = named.get(query.get("b", ""), rows[min(1, len(rows) - 1)] if rows else None)
         return {
             "phase": board.phase,
             "rows": rows,
             "labels": labels,
-            "left": named.get(query.get("a", ""), rows[0] if rows else None),
-            "right": named.get(query.get("b", ""), rows[min(1, len(rows) - 1)] if rows else None),
+            "left": left,
+            "right": right,
+            "significance": tables.significance(session, left, right, labels) if left and right else {},
             "metric": tables.View.from_query(query, labels).metric,
             "tables": tables,
         }

@@ -6,8 +6,11 @@ from typing import Any, Literal
 from urllib.parse import urlencode
 
 import msgspec
+from sqlalchemy.orm import Session
 
 from evaluator.protocol import Signature
+from evaluator.uncertainty import Comparison
+from server import standings
 from server.ranking import LeaderboardRow
 
 Metric = Literal["detection_score", "ap", "bevcd", "yaw_sim", "pr_sim", "size_sim"]
@@ -105,6 +108,22 @@ def class_value(row: LeaderboardRow, label: str, metric: str) -> float | None:
 def difference(first: float | None, second: float | None) -> float | None:
     """Subtract the first value from the second; undefined when either is."""
     return None if first is None or second is None else second - first
+
+
+def significance(
+    session: Session, left: LeaderboardRow, right: LeaderboardRow, labels: Sequence[str]
+) -> dict[str, Comparison | None]:
+    """Judge the differences of two rows, right minus left: of mDS, and of each class's detection score by its label."""
+    kept = standings.replicates_of(session, [left, right])
+    pair = kept.get(left.submission.id), kept.get(right.submission.id)
+    of_mds = standings.comparison(*pair, difference(left.mds, right.mds))
+    by_label = {
+        label: standings.comparison(
+            *pair, difference(*(class_value(row, label, "detection_score") for row in (left, right))), label
+        )
+        for label in labels
+    }
+    return {"mds": of_mds, **by_label}
 
 
 def bins_of(row: LeaderboardRow, label: str) -> list[dict[str, Any]]:

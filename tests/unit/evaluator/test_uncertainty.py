@@ -1,5 +1,6 @@
 """Bootstrap intervals, comparisons and rank intervals, from stored statistics."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from evaluator.protocol import CITYSCAPES3D
 from evaluator.replicates import MEANS, replicate
 from evaluator.resampling import bootstrap_weights, unit_index
 from evaluator.standings import Standings
-from evaluator.statistics import Statistics
+from evaluator.statistics import Statistics, join
 from evaluator.uncertainty import (
+    Method,
     compare,
     compare_replicates,
     intervals,
@@ -59,28 +61,67 @@ def test_clusters_are_drawn_whole() -> None:
     assert np.array_equal(weights[:, 0], weights[:, 2])
 
 
+@pytest.fixture(scope="module")
+def doubled(evaluation: Evaluation) -> Statistics:
+    """The same sixty images twice, under other names."""
+    again = replace(evaluation.statistics, images=tuple(f"again{image}" for image in evaluation.statistics.images))
+    return join([evaluation.statistics, again])
+
+
 @pytest.mark.parametrize("method", ["percentile", "bca"])
-def test_intervals_are_reproducible_and_hold_the_estimate(evaluation: Evaluation, method: str) -> None:
-    """The same call gives the same intervals; the estimate of mDS lies inside."""
-    first = intervals(evaluation.statistics, resamples=200, method=method)  # type: ignore[arg-type]  # parametrized
+def test_intervals_are_reproducible_and_hold_the_estimate(doubled: Statistics, method: Method) -> None:
+    """The same call gives the same intervals; the estimate lies inside, in classes and depth bins, too."""
+    first = intervals(doubled, resamples=200, method=method)
 
-    assert first == intervals(evaluation.statistics, resamples=200, method=method)  # type: ignore[arg-type]  # likewise
-    mds = first.means["mds"]
-    assert mds is not None
-    assert mds.estimate == evaluation.scores.mds
-    assert mds.lower < mds.estimate < mds.upper
+    assert first == intervals(doubled, resamples=200, method=method)
+    assert len(first.depth_bins["car"]) == 20
+    for found in (
+        first.classes["car"]["ap"],
+        first.classes["car"]["detection_score"],
+        first.depth_bins["car"][3]["ap"],
+    ):
+        assert found is not None
+        assert found.lower < found.estimate < found.upper
 
 
-def test_a_class_without_ground_truth_has_no_interval(evaluation: Evaluation) -> None:
-    """Undefined stays undefined, and does not disturb the others."""
-    truth = ground_truth_of(evaluation.ground_truth, slice(0, 2))
-    two_images = evaluate(truth, load_predictions(CASE / "pred", truth.images, CITYSCAPES3D.labels))
+def test_the_estimates_are_the_scores(evaluation: Evaluation, doubled: Statistics) -> None:
+    """Counting every image twice changes no score, so the estimates are those of the evaluation."""
+    found = intervals(doubled, resamples=20)
+    car = evaluation.scores.classes[0]
+    ap, in_bin = found.classes["car"]["ap"], found.depth_bins["car"][3]["ap"]
 
-    found = intervals(two_images.statistics, resamples=10)
+    assert ap is not None
+    assert in_bin is not None
+    assert (ap.estimate, in_bin.estimate) == pytest.approx((car.ap, car.depth_bins[3].ap), abs=1e-12)
 
-    undefined = {item.label for item in two_images.scores.classes if item.ap is None}
-    assert undefined
-    assert {label for label, row in found.classes.items() if row["ap"] is None} == undefined
+
+def test_a_higher_level_gives_a_wider_interval(doubled: Statistics) -> None:
+    """99 % holds 50 %; what is no level is refused."""
+    wide, narrow = (intervals(doubled, resamples=200, level=level, by_depth=False) for level in (0.99, 0.5))
+    outer, inner = (found.classes["car"]["ap"] for found in (wide, narrow))
+
+    assert outer is not None
+    assert inner is not None
+    assert outer.lower < inner.lower < inner.upper < outer.upper
+    for level in (0.0, 1.0, -1.0, 95.0):
+        with pytest.raises(UsageError, match="between 0 and 1"):
+            intervals(doubled, resamples=10, level=level)
+
+
+def test_depth_bins_may_be_left_out(doubled: Statistics) -> None:
+    """Then only means and classes have intervals, the same ones."""
+    with_bins, without = (intervals(doubled, resamples=20, by_depth=by_depth) for by_depth in (True, False))
+
+    assert without.depth_bins["car"] == ()
+    assert (without.means, without.classes) == (with_bins.means, with_bins.classes)
+
+
+def test_few_images_give_no_interval(evaluation: Evaluation) -> None:
+    """Sixty are fewer than the hundred an interval needs; their cities are fewer still."""
+    found = intervals(evaluation.statistics, resamples=10)
+
+    assert set(found.means.values()) == {None}
+    assert {interval for row in found.classes.values() for interval in row.values()} == {None}
 
 
 def test_a_submission_does_not_differ_from_itself(evaluation: Evaluation) -> None:

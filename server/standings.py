@@ -1,0 +1,125 @@
+"""How far a leaderboard can be trusted: intervals of mDS, rank intervals, and groups that cannot be told apart.
+
+All of it follows from the replicates the worker kept with each score. They never change, so what follows from a given
+set of scores is kept in memory and the page of a leaderboard reads no replicates again.
+"""
+
+import uuid
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from string import ascii_lowercase
+from typing import ClassVar
+
+import numpy as np
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from evaluator.confidence import Interval
+from evaluator.score_replicates import MDS, STANDARD_DRAW, ScoreReplicates
+from evaluator.standings import Standings
+from evaluator.uncertainty import Comparison, compare_replicates
+from server import models
+from server.ranking import LeaderboardRow
+
+_Key = tuple[tuple[uuid.UUID, int], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """What is known of one row beside its score. A score made before replicates were kept has nothing of it."""
+
+    interval: Interval | None = None
+    """Of mDS, at 95 %; None also where too little is known for one (evaluator/interval_rules.py)."""
+    ranks: tuple[int, int] | None = None
+    """Best and worst rank."""
+    groups: str = ""
+    """Letters: rows that share one cannot be told apart. "" for a row that differs from all others."""
+
+
+UNKNOWN = Standing()
+
+
+class StandingsCache:
+    """The standings of the leaderboards that were asked for last."""
+
+    _MOST: ClassVar[int] = 64
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._known: dict[_Key, dict[uuid.UUID, Standing]] = {}
+
+    def of(self, session: Session, rows: Sequence[LeaderboardRow]) -> dict[uuid.UUID, Standing]:
+        """Give the standing of each submission of a leaderboard; rows come best first, as they do there."""
+        key = tuple((row.submission.id, row.score.id) for row in rows)
+        found = self._known.get(key)
+        if found is None:
+            found = standings_from(rows, replicates_of(session, rows))
+            while len(self._known) >= self._MOST:
+                self._known.pop(next(iter(self._known)), None)
+            self._known[key] = found
+        return found
+
+
+def replicates_of(session: Session, rows: Sequence[LeaderboardRow]) -> dict[uuid.UUID, ScoreReplicates]:
+    """Read the replicates of rows, by submission; rows without, or with other resamples than usual, are left out."""
+    submission_of = {row.score.id: row.submission.id for row in rows}
+    table = models.ScoreReplicates
+    query = sa.select(table.score_id, table.data).where(table.score_id.in_(submission_of))
+    found = {submission_of[score_id]: ScoreReplicates.from_bytes(data) for score_id, data in session.execute(query)}
+    return {submission: kept for submission, kept in found.items() if kept.draw == STANDARD_DRAW}
+
+
+def standings_from(
+    rows: Sequence[LeaderboardRow], replicates: dict[uuid.UUID, ScoreReplicates]
+) -> dict[uuid.UUID, Standing]:
+    """Rank the rows of a leaderboard, best first, on every resample.
+
+    A score without replicates has no standing; among the others it holds its place with its mDS alone.
+    """
+    if not replicates:
+        return {row.submission.id: UNKNOWN for row in rows}
+    fixed = {
+        row.submission.id: np.full(STANDARD_DRAW.resamples, np.nan if row.mds is None else row.mds) for row in rows
+    }
+    ids = list(fixed)
+    standings = Standings.of(replicates[one].mds if one in replicates else fixed[one] for one in ids)
+    ranks = standings.rank_intervals()
+    letters = dict.fromkeys(ids, "")
+    known = [place for place, one in enumerate(ids) if one in replicates]
+    for letter, group in zip(_letters(), standings.groups(known), strict=False):
+        for place in group:
+            letters[ids[place]] += letter
+    return {
+        one: Standing(interval=replicates[one].intervals[MDS], ranks=ranks[place], groups=letters[one])
+        if one in replicates
+        else UNKNOWN
+        for place, one in enumerate(ids)
+    }
+
+
+def comparison(
+    first: ScoreReplicates | None, second: ScoreReplicates | None, difference: float | None, label: str | None = None
+) -> Comparison | None:
+    """Judge how much the second differs from the first.
+
+    Args:
+        first: Of one submission; None: it has none.
+        second: Of the other, for the same ground truth.
+        difference: Second minus first, as scored; None: undefined.
+        label: In the detection score of this class; None: in mDS.
+
+    Returns:
+        None where it is undefined or nothing is known of it.
+    """
+    if first is None or second is None or difference is None:
+        return None
+    pair = [kept.mds if label is None else kept.detection_scores.get(label) for kept in (first, second)]
+    if pair[0] is None or pair[1] is None or pair[0].shape != pair[1].shape:
+        return None
+    return compare_replicates(difference, pair[1] - pair[0])
+
+
+def _letters() -> Iterator[str]:
+    """Yield a, b, ... z, A, ... Z: more overlapping groups than anybody reads."""
+    yield from ascii_lowercase
+    yield from ascii_lowercase.upper()
