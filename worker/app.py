@@ -8,7 +8,6 @@ SIGTERM drains: running submissions are finished, no new ones are taken.
 
 import os
 import socket
-import threading
 import uuid
 from dataclasses import dataclass
 from functools import cache
@@ -33,13 +32,12 @@ from worker import acknowledging
 from worker.evaluation import evaluate_submission, match_shard
 from worker.rescoring import evaluate_item
 from worker.sandbox import Sandbox
+from worker.sweeping import Sweeping
 
 log = structlog.get_logger(__name__)
 
 POOL_PROCESS_MEMORY_KIB = 512 * 1024
 """A pool process holds no submission's data, so one that grows beyond this is replaced."""
-
-SWEEPS_PER_FILE_SWEEP = 40
 
 acknowledging.install()
 settings = Settings()
@@ -106,30 +104,7 @@ def sweep_files() -> None:
         log.warning("sweep_failed", error=repr(error))
 
 
-class _Sweeping(threading.Thread):
-    """Sweeps in the worker's main process, from its start to its end."""
-
-    def __init__(self) -> None:
-        super().__init__(name="sweeping", daemon=True)
-        self.stopped = threading.Event()
-
-    def run(self) -> None:
-        """Sweep, wait, and so on; whatever fails is tried again next time."""
-        services = Services.from_settings(settings)
-        passes = 0
-        while True:
-            try:
-                sweeper.sweep(services)
-                if passes % SWEEPS_PER_FILE_SWEEP == 0:
-                    sweep_files.apply_async(priority=PRIORITY_NORMAL)
-            except Exception as error:  # noqa: BLE001 - a database or broker that is away comes back
-                log.warning("sweep_failed", error=repr(error))
-            passes += 1
-            if self.stopped.wait(settings.sweep_s):
-                return
-
-
-_sweeping = _Sweeping()
+_sweeping = Sweeping(settings, lambda: sweep_files.apply_async(priority=PRIORITY_NORMAL))
 
 
 @signals.worker_ready.connect
