@@ -216,7 +216,7 @@ def compare(
         level: Confidence level in (0, 1).
 
     Returns:
-        By the names of `Scores` (mds, map, ...); None where undefined.
+        By the names of `Scores` (mds, map, ...); None where undefined or where too little is known of either.
 
     Raises:
         UsageError: Images or protocols differ, nothing can be drawn in this way, or the level is none.
@@ -225,9 +225,15 @@ def compare(
         raise UsageError("Only submissions evaluated on the same images under the same protocol can be compared.")
     weights = bootstrap_weights(first.images, resamples=resamples, seed=seed, unit=unit)
     ones = np.ones((1, len(first.images)), dtype=np.float32)
-    estimate = replicate(first, ones).means[0] - replicate(second, ones).means[0]
+    units = leave_one_out(first.images, unit=unit).units
+    scores = replicate(first, ones), replicate(second, ones)
+    known = sufficient(first, scores[0], units)[0] & sufficient(second, scores[1], units)[0]
+    estimate = scores[0].means[0] - scores[1].means[0]
     drawn = replicate(first, weights).means - replicate(second, weights).means
-    return {name: compare_replicates(float(estimate[i]), drawn[:, i], level) for i, name in enumerate(MEANS)}
+    return {
+        name: compare_replicates(float(estimate[i]), drawn[:, i], level) if known[i] else None
+        for i, name in enumerate(MEANS)
+    }
 
 
 def compare_replicates(estimate: float, differences: Float64Array, level: float = LEVEL) -> Comparison | None:

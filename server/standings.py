@@ -26,10 +26,13 @@ _Key = tuple[tuple[uuid.UUID, int], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """What is known of one row beside its score. A score made before replicates were kept has nothing of it."""
+    """What is known of one row beside its score.
+
+    Nothing of a score made before replicates were kept, or of too few boxes (evaluator/interval_rules.py).
+    """
 
     interval: Interval | None = None
-    """Of mDS, at 95 %; None also where too little is known for one (evaluator/interval_rules.py)."""
+    """Of mDS, at 95 %."""
     ranks: tuple[int, int] | None = None
     """Best and worst rank."""
     groups: str = ""
@@ -61,12 +64,19 @@ class StandingsCache:
 
 
 def replicates_of(session: Session, rows: Sequence[LeaderboardRow]) -> dict[uuid.UUID, ScoreReplicates]:
-    """Read the replicates of rows, by submission; rows without, or with other resamples than usual, are left out."""
+    """Read the replicates of rows, by submission.
+
+    Left out are rows without any, with other resamples than usual, and with too few boxes to trust them.
+    """
     submission_of = {row.score.id: row.submission.id for row in rows}
     table = models.ScoreReplicates
     query = sa.select(table.score_id, table.data).where(table.score_id.in_(submission_of))
     found = {submission_of[score_id]: ScoreReplicates.from_bytes(data) for score_id, data in session.execute(query)}
-    return {submission: kept for submission, kept in found.items() if kept.draw == STANDARD_DRAW}
+    return {submission: kept for submission, kept in found.items() if _trusted(kept)}
+
+
+def _trusted(kept: ScoreReplicates) -> bool:
+    return kept.draw == STANDARD_DRAW and kept.intervals[MDS] is not None
 
 
 def standings_from(
@@ -113,10 +123,11 @@ def comparison(
     """
     if first is None or second is None or difference is None:
         return None
-    pair = [kept.mds if label is None else kept.detection_scores.get(label) for kept in (first, second)]
-    if pair[0] is None or pair[1] is None or pair[0].shape != pair[1].shape:
+    if label is None:
+        return compare_replicates(difference, second.mds - first.mds)
+    if first.intervals.get(label) is None or second.intervals.get(label) is None:
         return None
-    return compare_replicates(difference, pair[1] - pair[0])
+    return compare_replicates(difference, second.detection_scores[label] - first.detection_scores[label])
 
 
 def _letters() -> Iterator[str]:

@@ -2,19 +2,21 @@
 
 import csv
 import io
-import re
 import uuid
 from collections.abc import Callable
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
 
 from evaluator.confidence import Interval
 from evaluator.score_replicates import MDS, STANDARD_DRAW, Draw, ScoreReplicates
+from server import benchmarks, models, ranking
 from server.models import Method, Score, Submission, Team
 from server.ranking import LeaderboardRow
-from server.standings import UNKNOWN, Standing, comparison, standings_from
+from server.standings import UNKNOWN, Standing, StandingsCache, comparison, standings_from
 from tests.integration.api.test_following import zip_with
 from tests.integration.api.test_leaderboards import BOARD, NOTHING_FOUND, published
 from tests.integration.site import Site
@@ -29,10 +31,15 @@ def _row(mds: float | None) -> LeaderboardRow:
     )
 
 
-def _replicates(*halves: float, interval: Interval | None = INTERVAL) -> ScoreReplicates:
+def _replicates(*halves: float) -> ScoreReplicates:
     """Make replicates that hold one value in the first half of the resamples and another in the second."""
     mds = np.repeat(halves, STANDARD_DRAW.resamples // 2)
-    return ScoreReplicates(draw=STANDARD_DRAW, mds=mds, detection_scores={"car": mds}, intervals={MDS: interval})
+    return ScoreReplicates(
+        draw=STANDARD_DRAW,
+        mds=mds,
+        detection_scores={"car": mds, "train": mds},
+        intervals={MDS: INTERVAL, "car": INTERVAL, "train": None},
+    )
 
 
 def test_methods_that_trade_places_share_ranks_and_a_letter() -> None:
@@ -68,13 +75,14 @@ def test_without_any_replicates_nothing_is_known() -> None:
 
 
 def test_differences_are_judged_where_both_have_replicates_of_the_same_draw() -> None:
-    """Second minus first, .1 on half of the resamples and .3 on the others; n/a without one side, value or class."""
+    """Second minus first, .1 on half of the resamples and .3 on the others; n/a without a side, value or enough boxes."""
     first, second = _replicates(0.2, 0.1), _replicates(0.3, 0.4)
     found = comparison(first, second, 0.2)
 
     assert found is not None
     assert (found.difference.lower, found.difference.upper) == pytest.approx((0.1, 0.3))
     assert comparison(first, second, 0.2, "car") == found
+    assert comparison(first, second, 0.2, "train") is None
     assert comparison(first, second, 0.2, "truck") is None
     assert comparison(None, second, 0.2) is None
     assert comparison(first, second, None) is None
@@ -85,20 +93,50 @@ def test_the_draw_is_part_of_what_is_kept() -> None:
     assert Draw(seed=1) != STANDARD_DRAW
 
 
-def test_the_leaderboard_tells_ranks_and_groups(site: Site, archive: bytes, score: Callable[[str], None]) -> None:
-    """Two equal methods share rank 1 on every resample; JSON, CSV and page agree. Two images are too few for an interval."""
+def test_too_few_images_say_nothing_of_the_ranking(site: Site, archive: bytes, score: Callable[[str], None]) -> None:
+    """Two images are far too few: JSON, CSV and page agree that nothing is known, and show the ranking all the same."""
     token = site.token()
-    for method, body in (("first", archive), ("second", archive), ("worst", zip_with(NOTHING_FOUND))):
+    for method, body in (("first", archive), ("worst", zip_with(NOTHING_FOUND))):
         published(site, token, body, method, score)
     with site.client() as visitor:
         rows = visitor.get(BOARD).json()["rows"]
         lines = list(csv.DictReader(io.StringIO(visitor.get(BOARD, params={"format": "csv"}).text)))
         page = visitor.get("/benchmarks/cs3d/test").text
-    assert [row["mds_interval"] for row in rows] == [None, None, None]
-    assert [row["rank_interval"] for row in rows[:2]] == [[1, 1], [1, 1]]
-    assert rows[0]["groups"][0] == rows[1]["groups"][0] == "a"
-    assert [(line["rank_best"], line["rank_worst"], line["groups"]) for line in lines] == [
-        (str(row["rank_interval"][0]), str(row["rank_interval"][1]), row["groups"]) for row in rows
+    assert [(row["rank"], row["mds_interval"], row["rank_interval"], row["groups"]) for row in rows] == [
+        (1, None, None, ""),
+        (2, None, None, ""),
     ]
-    assert all(line["mds_lower"] == line["mds_upper"] == "" for line in lines)
-    assert len(re.findall(r'<span class="letter">a</span>', page)) >= 2
+    columns = ("mds_lower", "mds_upper", "rank_best", "rank_worst", "groups")
+    assert [[line[name] for name in columns] for line in lines] == [[""] * 5] * 2
+    assert page.count('<span class="undefined">n/a</span>') >= 4
+
+
+def test_replicates_are_kept_with_every_score(site: Site, archive: bytes, score: Callable[[str], None]) -> None:
+    """The worker's replicates are in the record, once, and cannot be changed."""
+    published(site, site.token(), archive, "ours", score)
+    with site.services.transaction() as session:
+        (stored,) = session.scalars(sa.select(models.ScoreReplicates))
+        kept = ScoreReplicates.from_bytes(stored.data)
+        assert kept.draw == STANDARD_DRAW
+        assert kept.mds.shape == (STANDARD_DRAW.resamples,)
+    with pytest.raises(sa.exc.IntegrityError, match="append-only"), site.services.transaction() as session:
+        session.execute(sa.delete(models.ScoreReplicates))
+
+
+def test_a_leaderboard_reads_its_replicates_once(site: Site, archive: bytes, score: Callable[[str], None]) -> None:
+    """The second look at the same scores asks the database for nothing; another score is noticed."""
+    token = site.token()
+    published(site, token, archive, "ours", score)
+    cache, asked = StandingsCache(), []
+    sa.event.listen(site.services.engine, "before_cursor_execute", lambda *call: asked.append(call[2]))
+    for expected in (1, 1):
+        with site.services.transaction() as session:
+            cache.of(session, _board(session))
+        assert sum("score_replicates" in statement for statement in asked) == expected
+    published(site, token, archive, "another", score)
+    with site.services.transaction() as session:
+        assert len(cache.of(session, _board(session))) == 2
+
+
+def _board(session: Session) -> tuple[LeaderboardRow, ...]:
+    return ranking.leaderboard(session, benchmarks.find_phase(session, "cs3d", "test")).rows
