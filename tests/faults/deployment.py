@@ -16,22 +16,29 @@ from typing import Any
 import psutil
 import sqlalchemy as sa
 
-from server import accounts, database
+from server import accounts, benchmarks, database
 from server.models import Submission, SubmissionState
 from server.services import Services
 from server.settings import Settings
-from tests.faults import hooks, sabotage
+from tests.faults import clock, hooks, points, sabotage, scoring_process
+from tests.faults.disk import Disk
 from tests.services.broker import Broker
 from tests.services.bucket import BucketServer
-from tests.services.installation import Installation
+from tests.services.installation import SMALL_CASE, Installation
 from tests.services.postgresql import PostgresqlServer
 from tests.services.processes import Service
 from tests.services.web import WebProcess
 from tests.services.worker import WorkerProcess, environment_of
 
 LEASE_S = 3.0
-DRAIN_S = 60.0
-"""A worker ends its task within this."""
+DRAIN_S = 300.0
+"""A worker ends its task within this, however slow the machine is."""
+MAX_ATTEMPTS = 6
+"""Of the phases: a submission that every attack happens to meet is scored in the end."""
+SCARCE, SCARCE_PER_DAY = "scarce", 10
+"""A phase whose quota is used up and whose submissions are scored in shards; and how many valid ones it takes."""
+CLOCKS_WRONG_BY_S = (-3600, 3600)
+"""Of the two workers."""
 TIMES: dict[str, Any] = {
     "lease_s": LEASE_S, "heartbeat_s": 0.5, "sweep_s": 1.0, "resend_s": 3.0, "broker_timeout_s": 1.5,
     "disk_floor_bytes": 0, "worker_concurrency": 1,
@@ -60,12 +67,15 @@ class Scheduler(Service):
 class Deployment:
     """One running installation under attack."""
 
-    def __init__(self, shape: str, folder: Path, *, sabotaged: str | None = None) -> None:
-        """Start everything and create a team with a phase and a token."""
+    def __init__(self, shape: str, folder: Path, *, mount: bool, sabotaged: str | None = None) -> None:
+        """Start everything and create a team with two phases and a token."""
         self.shape = shape
         self._started: list[Service] = []
         self.faults = folder / "faults"
         self.faults.mkdir(parents=True)
+        # Blobs and what is on its way to them; SQLite stays outside, for a full disk stops a database.
+        local = folder / "data" / ("blobs" if shape == "embedded" else "")
+        self.disk = Disk(local, self.faults, mount=mount)
         self._short = tempfile.TemporaryDirectory(prefix="cs3d-")
         socket = Path(self._short.name) / "broker.sock" if shape == "embedded" else None
         self.broker = Broker(folder / "broker", socket=socket)
@@ -87,9 +97,9 @@ class Deployment:
             with self.services.transaction() as session:
                 session.execute(sa.text("ALTER TABLE score DROP CONSTRAINT uq_score_signature"))
         self.installation = Installation(services=self.services, broker=self.broker, folder=folder)
-        self.installation.populate(submissions_per_day=100_000, rejections_per_day=100_000)
+        self._populate()
         self.token = self._create_token()
-        environment = {hooks.FOLDER_VARIABLE: str(self.faults), sabotage.VARIABLE: sabotaged or ""}
+        environment = {points.FOLDER_VARIABLE: str(self.faults), sabotage.VARIABLE: sabotaged or ""}
         self.web = WebProcess(folder / "web", self.services.settings, application="tests.faults.web_app:application")
         self.web.extra = {**environment, hooks.COPIES_VARIABLE: "5"}
         self.workers = [self._worker(folder / f"worker{index}", index, environment) for index in range(2)]
@@ -106,8 +116,8 @@ class Deployment:
             service.wait_until_ready()
 
     def _worker(self, folder: Path, index: int, environment: dict[str, str]) -> WorkerProcess:
-        """Plan a worker; the second one's clock is an hour fast."""
-        shifted = {**environment, hooks.CLOCK_VARIABLE: str(3600 * index)}
+        """Plan a worker; its clock is wrong."""
+        shifted = {**environment, clock.VARIABLE: str(CLOCKS_WRONG_BY_S[index])}
         return WorkerProcess(folder, self.services.settings, module="tests.faults.worker_app", extra=shifted)
 
     def _backing(self) -> list[Service]:
@@ -124,6 +134,27 @@ class Deployment:
             }  # fmt: skip
         return places
 
+    def _populate(self) -> None:
+        plenty: dict[str, Any] = {
+            "submissions_per_day": 100_000,
+            "rejections_per_day": 100_000,
+            "max_attempts": MAX_ATTEMPTS,
+        }
+        self.installation.populate(**plenty)
+        with self.services.transaction() as session:
+            phase = benchmarks.create_phase(
+                session,
+                benchmark=benchmarks.find_phase(session, "cs3d", "test").benchmark,
+                slug=SCARCE,
+                title="Scarce",
+                actor="admin:test",
+                **{**plenty, "submissions_per_day": SCARCE_PER_DAY},
+            )
+            phase.shards = 2
+            benchmarks.import_ground_truth(
+                session, self.services.blobs, phase=phase, source=SMALL_CASE / "gt", actor="admin:test"
+            )
+
     def _create_token(self) -> str:
         with self.services.transaction() as session:
             user = accounts.find_user(session, "ann@example.org")
@@ -132,6 +163,8 @@ class Deployment:
 
     def victims(self, target: str, index: int) -> tuple[int, ...]:
         """Give what to kill for a target: process ids, negative for groups; empty when there is none at the moment.
+
+        "worker" is everything that belongs to one; its parent and its children are targets of their own.
 
         Args:
             target: One of `TARGETS`.
@@ -185,6 +218,7 @@ class Deployment:
         for service in reversed(self._started):
             service.signal(signal.SIGCONT)
             service.kill()
+        self.disk.close()
         self._short.cleanup()
 
 
@@ -192,7 +226,7 @@ def _children(parent: int, *, scoring: bool) -> tuple[int, ...]:
     """Find a worker's pool processes or scoring processes."""
     try:
         below = psutil.Process(parent).children(recursive=True) if parent else []
-        found = [child.pid for child in below if ("worker.child" in child.cmdline()) is scoring]
+        found = [child.pid for child in below if (scoring_process.__name__ in child.cmdline()) is scoring]
     except psutil.Error:
         return ()
     return tuple(found)

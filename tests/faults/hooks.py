@@ -1,122 +1,40 @@
-"""Nine named points in the life of a submission where a test can strike, and the sabotage of single safeguards.
+"""Puts the points, and whatever else the environment asks for, around the real functions of a process."""
 
-The processes of the fault programme are the real ones; only their entry modules (web_app.py, worker_app.py beside
-this file) call `install`. Production code knows nothing of it. A point is armed by a file of its name in the folder
-that the environment names; the first process to pass takes the file, so each armed point strikes once.
-
-    in a web process                                    in a worker process
-    received    the whole body is there                 claimed      a worker holds the submission
-    fsynced     it is flushed to the disk               parsed       the report of valid predictions is recorded
-    promoted    it has its digest's name                scored       the scores are computed
-    committed   the submission is a row                 commit_sent  the commit of the score has returned
-    enqueued    its message is in the broker
-"""
-
-import errno
 import functools
-import json
 import os
-import signal
-import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager
 from typing import Any
 
 from server import blobs, lifecycle, submissions
 from server.blobs import BucketBlobs, FolderBlobs
+from server.models import Submission
 from server.queue import Queue
 from server.services import Services
+from server.settings import Settings
+from tests.faults import clock, points, sabotage
+from tests.faults.points import reach
+from worker.messages import AnyJob, Event, Scored
+from worker.sandbox import Sandbox
 
-FOLDER_VARIABLE = "CS3D_TEST_FAULTS"
-"""The folder in which points are armed; without it nothing ever strikes."""
 COPIES_VARIABLE = "CS3D_TEST_COPIES"
 """How often every message is sent."""
-CLOCK_VARIABLE = "CS3D_TEST_CLOCK_SHIFT_S"
-"""By how much this process's clock is wrong."""
-
-WEB_POINTS = ("received", "fsynced", "promoted", "committed", "enqueued")
-WORKER_POINTS = ("claimed", "parsed", "scored", "commit_sent")
-POINTS = WEB_POINTS + WORKER_POINTS
 
 
-@dataclass(frozen=True, kw_only=True)
-class Strike:
-    """What happens at a point."""
-
-    kill: tuple[int, ...] = ()
-    """Processes to SIGKILL; negative: process groups; 0: the one that passes."""
-    stop: bool = False
-    """SIGSTOP the process that passes; somebody has to wake it."""
-    no_space: bool = False
-    """Fail as if the disk were full."""
-    pause_s: float = 0.0
-
-
-def arm(folder: Path, point: str, strike: Strike) -> None:
-    """Let the next process that passes `point` be struck."""
-    draft = folder / f".{point}"
-    draft.write_text(json.dumps(asdict(strike)))
-    draft.replace(folder / point)
-
-
-def disarm(folder: Path, point: str) -> bool:
-    """Take the strike back; False when it has happened."""
-    try:
-        (folder / point).unlink()
-    except FileNotFoundError:
-        return False
-    return True
-
-
-def taken_by(folder: Path, point: str) -> list[int]:
-    """List the processes that were struck at `point`."""
-    return [int(path.name.split(".")[2]) for path in sorted(folder.glob(f"{point}.taken.*"))]
-
-
-def reach(point: str) -> None:
-    """Strike if this point is armed."""
-    folder = os.environ.get(FOLDER_VARIABLE)
-    if not folder or point not in _live_points:
-        return
-    taken = Path(folder) / f"{point}.taken.{os.getpid()}.{time.monotonic_ns()}"
-    try:
-        (Path(folder) / point).rename(taken)
-    except FileNotFoundError:
-        return
-    _strike(Strike(**json.loads(taken.read_text())))
-
-
-def _strike(strike: Strike) -> None:
-    for target in strike.kill:
-        try:
-            os.kill(target or os.getpid(), signal.SIGKILL) if target >= 0 else os.killpg(-target, signal.SIGKILL)
-        except ProcessLookupError:
-            continue  # it died before we came
-    if strike.stop:
-        os.kill(os.getpid(), signal.SIGSTOP)
-    if strike.no_space:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    time.sleep(strike.pause_s)
-
-
-_live_points: set[str] = set()
-
-
-def install(points: Iterable[str]) -> None:
-    """Put the points and whatever the environment asks for around the real functions of this process."""
-    from tests.faults import sabotage  # noqa: PLC0415 - it builds on this module
-
-    _live_points.update(points)
+def install(live: Iterable[str]) -> None:
+    """Put everything in place; only the points named strike in this process."""
+    points.install(live)
     wrap(FolderBlobs, "put_file", before="received", after="promoted")
     wrap(blobs, "_flush", after="fsynced")
     wrap(BucketBlobs, "put_file", before="fsynced")  # flushing is the store's own affair there
     wrap(BucketBlobs, "put_file", before="received", after="promoted")
     wrap(Queue, "enqueue", after="enqueued")
     _reach_after_commit()
+    _reach_with_scores()
+    _note_early_messages()
     _send_copies(int(os.environ.get(COPIES_VARIABLE, "1")))
-    _shift_clock(float(os.environ.get(CLOCK_VARIABLE, "0")))
+    if Settings().blob_url:  # the times in a local folder go wrong along with this machine's clock
+        clock.shift_datetime_of(blobs)
     sabotage.install()
 
 
@@ -151,36 +69,59 @@ def _reach_after_commit() -> None:
 
     Services.transaction = transaction  # type: ignore[method-assign]  # that is what this module is for
     _note(submissions, "receive", "committed")
-    _note(lifecycle, "claim", "claimed")
+    _note(lifecycle, "claim", "claimed", when=lambda held: held is not None)
     _note(lifecycle, "validated", "parsed")
     _note(lifecycle, "record_score", "commit_sent")
 
 
-def _note(module: Any, name: str, point: str) -> None:
+def _note(module: Any, name: str, point: str, *, when: Callable[[Any], bool] = lambda _: True) -> None:
     """Remember in the session which point its commit reaches."""
     original: Callable[..., Any] = getattr(module, name)
 
     @functools.wraps(original)
     def noted(session: Any, *arguments: Any, **named: Any) -> Any:
         result = original(session, *arguments, **named)
-        session.info.setdefault("done", []).append(point)
+        if when(result):
+            session.info.setdefault("done", []).append(point)
         return result
 
     setattr(module, name, noted)
 
 
+def _reach_with_scores() -> None:
+    """Reach the point between the computation of scores and their record."""
+    original = Sandbox.events
+
+    def events(self: Sandbox, job: AnyJob, *, tick_s: float) -> Generator[Event | None, None, None]:
+        with closing(original(self, job, tick_s=tick_s)) as told:
+            for event in told:
+                if isinstance(event, Scored):
+                    reach("scored")
+                yield event
+
+    Sandbox.events = events  # type: ignore[method-assign]  # that is what this module is for
+
+
+def _note_early_messages() -> None:
+    """Notice messages about submissions that are not rows: sent before the commit, they would be lost."""
+    original = lifecycle.claim
+
+    @functools.wraps(original)
+    def claim(session: Any, submission_id: Any, **named: Any) -> Any:
+        held = original(session, submission_id, **named)
+        if held is None and session.get(Submission, submission_id) is None:
+            points.note_early_message(submission_id)
+        return held
+
+    setattr(lifecycle, "claim", claim)  # noqa: B010 - the checker of types minds a plain assignment
+
+
 def _send_copies(copies: int) -> None:
+    """Send what the broker takes several times; what it does not take, once."""
     original = Queue.enqueue
 
     @functools.wraps(original)
     def enqueue(self: Queue, *arguments: Any, **named: Any) -> bool:
-        taken = [original(self, *arguments, **named) for _ in range(copies)]
-        return all(taken)
+        return all(original(self, *arguments, **named) for _ in range(copies))
 
     Queue.enqueue = enqueue  # type: ignore[method-assign]  # that is what this module is for
-
-
-def _shift_clock(shift_s: float) -> None:
-    if shift_s:
-        real = time.time
-        time.time = lambda: real() + shift_s

@@ -3,8 +3,9 @@
 from fastapi import FastAPI
 
 from tests.faults import hooks
+from tests.faults.points import WEB_POINTS
 
-hooks.install(hooks.WEB_POINTS)
+hooks.install(WEB_POINTS)
 
 from server import web  # noqa: E402 - after the points are in place
 

@@ -1,12 +1,16 @@
 """`celery -A tests.faults.worker_app worker`: the real worker with the fault points around it."""
 
-from tests.faults import hooks
+from tests.faults import clock
 
-hooks.install(hooks.WORKER_POINTS)
+clock.shift()
 
-from worker import attempt  # noqa: E402 - after the points are in place
-from worker.app import app  # noqa: E402 - likewise
+from tests.faults import hooks, scoring_process  # noqa: E402 - after the clock is shifted
+from tests.faults.points import WORKER_POINTS  # noqa: E402 - likewise
+from worker import sandbox  # noqa: E402 - likewise
 
-hooks.wrap(attempt.Attempt, "_scored", before="scored")
+hooks.install(WORKER_POINTS)
+sandbox.PROGRAM = scoring_process.__name__
+
+from worker.app import app  # noqa: E402 - after the points are in place
 
 __all__ = ["app"]
