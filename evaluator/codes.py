@@ -169,9 +169,9 @@ MEANINGS: dict[Code, Meaning] = {
         "There is a link, a device or another special file.", "Replace it with a copy of the regular file."
     ),
     Code.ABSOLUTE_NAME: _error("A member's name is an absolute path.", _RENAME),
-    Code.PARENT_NAME: _error("A member's name leaves its folder with '..' or contains '.'.", _RENAME),
+    Code.PARENT_NAME: _error("A member's name leaves its folder with '..'.", _RENAME),
     Code.BACKSLASH_NAME: _error("A member's name contains a backslash.", "Use forward slashes between folders."),
-    Code.DRIVE_NAME: _error("A member's name contains a drive letter or a colon.", _RENAME),
+    Code.DRIVE_NAME: _error("A member's name begins with a drive letter.", _RENAME),
     Code.CONTROL_CHARACTER_NAME: _error("A member's name contains a control character.", _RENAME),
     Code.UNDECODABLE_NAME: _error("A member's name is not the UTF-8 it claims to be.", _RENAME),
     Code.EMPTY_NAME: _error("A member's name is empty or has an empty part.", _RENAME),

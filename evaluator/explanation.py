@@ -186,7 +186,8 @@ class _Walk:
         if len(boxes) > self._limits.boxes_per_image:
             expected = f"at most {self._limits.boxes_per_image}"
             self._add(Code.TOO_MANY_BOXES, "/objects", found=f"{len(boxes)} boxes", expected=expected)
-        for number, box in enumerate(boxes):
+        # Those beyond the cap are refused as they are: a file of millions would take minutes to explain.
+        for number, box in enumerate(boxes[: self._limits.boxes_per_image]):
             self._check_box(box, f"/objects/{number}")
 
     def _check_box(self, box: object, pointer: str) -> None:

@@ -11,6 +11,8 @@ _LONGEST_QUOTE = 120
 
 def quote(text: str) -> str:
     """Make hostile text safe and short enough for a report: printable, on one line, at most 120 characters."""
+    if len(text) <= _LONGEST_QUOTE and text.isprintable():
+        return str(text)  # a plain one, should it be a subclass
     head = text[: _LONGEST_QUOTE + 1]
     safe = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in head)
     return safe if len(head) <= _LONGEST_QUOTE and len(safe) <= _LONGEST_QUOTE else f"{safe[: _LONGEST_QUOTE - 3]}..."

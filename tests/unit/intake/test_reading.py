@@ -254,6 +254,13 @@ def test_every_limit_is_held(tmp_path: Path, limits: Limits, code: str) -> None:
         assert code in _codes(read_predictions(folder, images=_images(*IMAGES), limits=limits))
 
 
+def test_boxes_beyond_the_cap_are_not_explained(tmp_path: Path) -> None:
+    """Of three bad boxes where two are allowed, two are explained: a file of millions must not take minutes."""
+    (tmp_path / f"{IMAGE}_pred.json").write_bytes(document(*[box(label='"van"')] * 3))
+    intake = read_predictions(tmp_path, images=_images(IMAGE), limits=Limits(boxes_per_image=2))
+    assert _codes(intake) == {"unknown_label": 2, "too_many_boxes": 1}
+
+
 def test_explaining_ends_at_its_limit(tmp_path: Path) -> None:
     """Beyond the limit files that are wrong are only counted, so that nobody can buy hours of explanations."""
     for name in IMAGES:
