@@ -43,8 +43,8 @@ def main() -> int:
     with workload(args.images, args.boxes) as work, running_site(case=work.folder, workers=1) as site:
         data = work.predictions.read_bytes()
         ground_truth = read_ground_truth(work.ground_truth)
-        _bare(work, ground_truth), _submission(site, data)  # both are warm now
-        turns = [(_bare(work, ground_truth), _submission(site, data)) for _ in range(args.rounds)]
+        _bare(work, ground_truth), time_to_scored_s(site, data)  # both are warm now
+        turns = [(_bare(work, ground_truth), time_to_scored_s(site, data)) for _ in range(args.rounds)]
     return _show(turns)
 
 
@@ -57,7 +57,7 @@ def _bare(work: Workload, ground_truth: GroundTruth) -> float:
     return time.perf_counter() - started_s
 
 
-def _submission(site: Site, data: bytes) -> float:
+def time_to_scored_s(site: Site, data: bytes) -> float:
     """Send the bytes over HTTP; time from the answer until the row says `scored`."""
     response = httpx.post(
         f"{site.url}/api/v1/submissions",

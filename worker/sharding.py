@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session
 
 from evaluator.sharding import image_ranges
 from server import lifecycle, shards
+from server.blobs import digest_file
 from server.claims import ShardClaim
 from server.errors import ShardLost, Unavailable
 from server.services import Services
@@ -45,6 +46,8 @@ class ShardedAttempt(Attempt):
 
     images: int = 0
     """How many there are, once the predictions are validated and written as arrays."""
+    arrays_sha256: str = ""
+    """Of those arrays, once they are in the blob store."""
 
     def work(self, sandbox: Sandbox) -> None:
         """Validate, divide, work through the shards with whoever helps, and join."""
@@ -80,12 +83,12 @@ class ShardedAttempt(Attempt):
 
     def _divide(self) -> None:
         """Make the shards and tell the other workers; a database that lost our answer finds them there."""
-        sha256, _ = self._keep("predictions")
+        self.arrays_sha256 = _keep_file(self.services, self.folder / "predictions")
         ranges = image_ranges(self.images, self.held.shards)
 
         def write(session: Session) -> None:
             lifecycle.heartbeat(session, self.held, stage="scoring", images_done=0, images_total=self.images)
-            shards.divide(session, self.services.blobs, self.held, predictions_sha256=sha256, ranges=ranges)
+            shards.divide(session, self.services.blobs, self.held, predictions_sha256=self.arrays_sha256, ranges=ranges)
 
         self._write(write)
         self.services.queue.enqueue_shards(self.held.submission_id, self.held.attempt, len(ranges))
@@ -130,7 +133,7 @@ class ShardedAttempt(Attempt):
         settings, held = self.services.settings, self.held
         return Reduction(
             shards=tuple(str(self.services.blobs.local_path(sha256)) for sha256 in results),
-            predictions=str(self.folder / "predictions"),
+            predictions=str(self.services.blobs.local_path(self.arrays_sha256)),
             predictions_sha256=held.predictions_sha256,
             ground_truth_sha256=held.ground_truth_sha256,
             protocol=held.protocol,
@@ -138,6 +141,13 @@ class ShardedAttempt(Attempt):
             memory_bytes=settings.score_memory_bytes,
             time_s=settings.score_time_s,
         )
+
+
+def _keep_file(services: Services, path: Path) -> str:
+    """Put a result into the blob store, which takes the file itself, and return its digest."""
+    sha256 = digest_file(path)
+    services.blobs.put_file(path, sha256)
+    return sha256
 
 
 def _nothing() -> None:
@@ -212,7 +222,7 @@ class ShardWork:
             log.warning("heartbeat_failed", error=repr(error))
 
     def _matched(self) -> None:
-        sha256 = self.services.blobs.put_bytes((self.folder / "shard").read_bytes())
+        sha256 = _keep_file(self.services, self.folder / "shard")
         self._conclude(lambda session: shards.finish(session, self.services.blobs, self.held, result_sha256=sha256))
 
     def fail(self, code: str, detail: str) -> None:
