@@ -19,15 +19,16 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("first", metavar="PRED_A", type=Path)
     parser.add_argument("second", metavar="PRED_B", type=Path)
     parser.add_argument("--gt", metavar="GT", type=Path, required=True, help="the ground truth, *_gtBbox3d.json")
+    parser.add_argument("--labels", metavar="L", nargs="+", help="classes to evaluate (default: the six that rank)")
     parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate both, compare and print; return 0, or 1 when the predictions of either have problems."""
-    from client.full_evaluation import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
+    from client.offline import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
 
-    evaluations = evaluate_fully([args.first, args.second], args.gt, lenient=args.lenient)
+    evaluations = evaluate_fully([args.first, args.second], args.gt, lenient=args.lenient, labels=args.labels)
     if evaluations is None:
         return 1
     from evaluator.diagnosis.difference import explain_difference  # noqa: PLC0415 - keeps `cs3d --help` fast
@@ -58,7 +59,7 @@ def difference_text(difference: "Difference", paired: "Comparison | None") -> st
     title = f"mDS {percent(difference.mds[0])} -> {percent(difference.mds[1])}: points of mDS by class and part"
     table = text_table(title, header, rows)
     if paired is None:
-        return table
+        return f"{table}\n\nPaired bootstrap over images: n/a, there are too few images or boxes of a class for it."
     interval = paired.difference
     return (
         f"{table}\n\nPaired bootstrap over images: difference {points(interval.estimate)}, 95 % interval "

@@ -22,7 +22,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, explain and print; return 0, or 1 when the predictions have problems."""
-    from client.full_evaluation import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
+    from client.offline import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
 
     evaluations = evaluate_fully([args.predictions], args.gt, lenient=args.lenient)
     if evaluations is None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from evaluator.protocol import Protocol
     from evaluator.results import Scores
+    from evaluator.statistics import Statistics
+    from evaluator.uncertainty import Uncertainty
 
 FORMATS = ("table", "json", "cityscapes")
 MOST_DEPTH_BINS = 10_000
@@ -35,6 +37,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--cw", metavar="C", type=float, help="working point (default: the best of each class)")
     parser.add_argument("--modal", action="store_true", help="match the submitted modal boxes")
     parser.add_argument("--protocol", choices=("cityscapes3d", "paper"), default="cityscapes3d", help="which rules")
+    parser.add_argument("--intervals", action="store_true", help="add 95 %% confidence intervals (bootstrap, BCa)")
     parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
     parser.add_argument(
         "--format", choices=FORMATS, default="table", help="table, json or the reference's results.json"
@@ -44,18 +47,26 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate and print; return 0, or 1 when the predictions have problems."""
-    from client.offline import evaluate_offline  # noqa: PLC0415 - keeps `cs3d --help` fast
+    from client.offline import evaluate_offline, note_unknown_labels  # noqa: PLC0415 - keeps `cs3d --help` fast
+    from client.report_text import report_text  # noqa: PLC0415 - likewise
 
     protocol = protocol_from(args)
-    for path in (args.gt, args.predictions):
-        _require(path.exists(), f"{path} does not exist; give a folder or a zip file.")
-    scores, notes = evaluate_offline(args.gt, args.predictions, protocol, lenient=args.lenient)
-    if notes:
+    found = evaluate_offline(args.gt, args.predictions, protocol, lenient=args.lenient)
+    if notes := report_text(found.report):
         print(notes, file=sys.stderr)
-    if scores is None:
+    if found.scores is None or found.statistics is None:
         return 1
-    _write(formatted(scores, args.format), args.output)
+    if args.labels:
+        note_unknown_labels(found.statistics)
+    uncertainty = _uncertainty(found.statistics) if args.intervals else None
+    _write(formatted(found.scores, args.format, uncertainty), args.output)
     return 0
+
+
+def _uncertainty(statistics: "Statistics") -> "Uncertainty":
+    from evaluator.uncertainty import intervals  # noqa: PLC0415 - seldom needed
+
+    return intervals(statistics)
 
 
 def protocol_from(args: argparse.Namespace) -> "Protocol":
@@ -85,14 +96,17 @@ def protocol_from(args: argparse.Namespace) -> "Protocol":
     _require(
         math.isfinite(protocol.working_point or 0.0), "--cw must be a score, or -1 for the best one of each class."
     )
+    _require(
+        not (args.intervals and args.format == "cityscapes"), "the reference's format has no place for --intervals."
+    )
     _require(not (args.protocol == "paper" and args.modal), "--modal has no meaning in the protocol paper.")
     return protocol
 
 
-def formatted(scores: "Scores", style: str) -> str:
-    """Return the scores as a table, as JSON, or as the reference's JSON."""
+def formatted(scores: "Scores", style: str, uncertainty: "Uncertainty | None" = None) -> str:
+    """Return the scores as a table, as JSON, or as the reference's JSON, which has no place for intervals."""
     if style == "json":
-        return _json(scores)
+        return _json(scores, uncertainty)
     if style == "cityscapes":
         import json  # noqa: PLC0415 - not needed for the table
 
@@ -101,13 +115,15 @@ def formatted(scores: "Scores", style: str) -> str:
         return json.dumps(cityscapes_results(scores), indent=4)
     from client.score_text import score_table  # noqa: PLC0415 - likewise
 
-    return score_table(scores)
+    return score_table(scores, uncertainty)
 
 
-def _json(scores: "Scores") -> str:
+def _json(scores: "Scores", uncertainty: "Uncertainty | None") -> str:
     import msgspec  # noqa: PLC0415 - not needed for the table
 
     document = {**msgspec.to_builtins(scores), "signature_text": str(scores.signature)}
+    if uncertainty is not None:
+        document["uncertainty"] = msgspec.to_builtins(uncertainty)
     return msgspec.json.format(msgspec.json.encode(document)).decode()
 
 

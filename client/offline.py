@@ -1,22 +1,29 @@
 """Evaluation of files on this machine: read both sides, score, and say what was found in the predictions."""
 
 import hashlib
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from msgspec.structs import replace as replace_fields
+
 from client.report_text import report_text
-from evaluator.evaluation import evaluate
-from evaluator.ground_truth import read_ground_truth
-from evaluator.intake import read_predictions_leniently
+from evaluator.errors import UsageError
+from evaluator.evaluation import Evaluation, evaluate
+from evaluator.ground_truth import GroundTruth, read_ground_truth
+from evaluator.intake import read_predictions, read_predictions_leniently
 from evaluator.matching import evaluated_labels
-from evaluator.parallel import evaluate_file, two_processes_help
-from evaluator.protocol import Protocol
-from evaluator.results import Scores
+from evaluator.parallel import FileEvaluation, evaluate_file, two_processes_help
+from evaluator.protocol import CITYSCAPES3D, Protocol
+from evaluator.statistics import Statistics
 
 
 def evaluate_offline(
     ground_truth_source: Path, predictions_source: Path, protocol: Protocol, *, lenient: bool
-) -> tuple[Scores | None, str]:
-    """Evaluate a folder or zip of predictions.
+) -> FileEvaluation:
+    """Evaluate a folder or zip of predictions as fast as it goes.
 
     Args:
         ground_truth_source: Folder or zip.
@@ -25,25 +32,86 @@ def evaluate_offline(
         lenient: Take what the reference takes.
 
     Returns:
-        The scores, None when the predictions have errors; and the report as text, "" when there is nothing to say.
+        Scores and statistics, None when the predictions have errors; and the report.
 
     Raises:
+        UsageError: A path does not exist.
         GroundTruthError: The ground truth cannot be used.
     """
-    ground_truth = read_ground_truth(ground_truth_source)
-    digest = hashlib.sha256(ground_truth.to_bytes()).hexdigest()
+    ground_truth, digest = _read_ground_truth(ground_truth_source, [predictions_source])
     if not lenient:
-        result = evaluate_file(
+        return evaluate_file(
             predictions_source, ground_truth, protocol, ground_truth_sha256=digest, split=two_processes_help()
         )
-        return result.scores, report_text(result.report)
     intake = read_predictions_leniently(
         predictions_source, images=ground_truth.image_list(), labels=evaluated_labels(protocol)
     )
-    notes = report_text(intake.report)
+    result = FileEvaluation(scores=None, statistics=None, report=intake.report, predictions_sha256=intake.sha256)
     if intake.predictions is None:
-        return None, notes
+        return result
     evaluation = evaluate(
         ground_truth, intake.predictions, protocol, ground_truth_sha256=digest, predictions_sha256=intake.sha256
     )
-    return evaluation.scores, notes
+    return replace(result, scores=evaluation.scores, statistics=evaluation.statistics)
+
+
+def evaluate_fully(
+    sources: Sequence[Path], ground_truth_source: Path, *, lenient: bool, labels: Sequence[str] | None = None
+) -> list[Evaluation] | None:
+    """Evaluate folders or zips of predictions with everything kept that a diagnosis needs: boxes and matches, too.
+
+    Reports are printed to stderr.
+
+    Args:
+        sources: Of predictions.
+        ground_truth_source: Folder or zip.
+        lenient: Take what the reference takes.
+        labels: Classes to evaluate; None: those that rank.
+
+    Returns:
+        One evaluation for each source; None when any of them has errors.
+
+    Raises:
+        UsageError: A path does not exist.
+        GroundTruthError: The ground truth cannot be used.
+    """
+    ground_truth, digest = _read_ground_truth(ground_truth_source, sources)
+    protocol = CITYSCAPES3D if labels is None else replace_fields(CITYSCAPES3D, labels=tuple(labels))
+    evaluations = [_evaluate(source, ground_truth, digest, protocol, lenient=lenient) for source in sources]
+    complete = [evaluation for evaluation in evaluations if evaluation is not None]
+    for evaluation in complete if labels else ():
+        note_unknown_labels(evaluation.statistics)
+    return complete if len(complete) == len(sources) else None
+
+
+def _read_ground_truth(source: Path, predictions: Sequence[Path]) -> tuple[GroundTruth, str]:
+    """Read the ground truth and its digest, once all paths are known to be there."""
+    for path in (source, *predictions):
+        if not path.exists():
+            raise UsageError(f"{path} does not exist; give a folder or a zip file.")
+    ground_truth = read_ground_truth(source)
+    return ground_truth, hashlib.sha256(ground_truth.to_bytes()).hexdigest()
+
+
+def note_unknown_labels(statistics: Statistics) -> None:
+    """Say on stderr which evaluated labels neither the ground truth has nor any prediction that counts."""
+    cells = np.concatenate([statistics.ground_truth_cell, statistics.false_positive_cell])
+    found = set((cells // statistics.grid[1]).tolist())
+    for index, label in enumerate(statistics.labels):
+        if index not in found:
+            print(f"note: no box in the ground truth or the predictions has the label {label!r}.", file=sys.stderr)
+
+
+def _evaluate(
+    source: Path, ground_truth: GroundTruth, digest: str, protocol: Protocol, *, lenient: bool
+) -> Evaluation | None:
+    """Read and evaluate one source; print its report."""
+    read = read_predictions_leniently if lenient else read_predictions
+    intake = read(source, images=ground_truth.image_list())
+    if notes := report_text(intake.report):
+        print(f"{source}\n{notes}", file=sys.stderr)
+    if intake.predictions is None:
+        return None
+    return evaluate(
+        ground_truth, intake.predictions, protocol, ground_truth_sha256=digest, predictions_sha256=intake.sha256
+    )

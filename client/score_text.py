@@ -1,40 +1,54 @@
-"""Scores as a plain table for the terminal, in percent. The only place of the client that rounds."""
+"""Scores as a table for the terminal, in percent."""
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from client.text_table import UNDEFINED, aligned, number, percent
+from evaluator.replicates import MEANS, METRICS
 from evaluator.results import Scores
 
+if TYPE_CHECKING:  # slow to import and seldom needed
+    from evaluator.confidence import Interval
+    from evaluator.uncertainty import NamedIntervals, Uncertainty
+
 _COLUMNS = ("class", "boxes", "AP", "BEVCD", "YawSim", "PRSim", "SizeSim", "DS", "c_w")
-_UNDEFINED = "n/a"
 
 
-def score_table(scores: Scores) -> str:
-    """Return one row for each class, the means below, and the signature as the last line."""
-    rows = [
-        (
-            item.label,
-            str(item.ground_truth_count),
-            *map(_percent, (item.ap, item.bevcd, item.yaw_sim, item.pr_sim, item.size_sim, item.detection_score)),
-            _UNDEFINED if item.working_point is None else f"{item.working_point:.2f}",
-        )
-        for item in scores.classes
-    ]
-    means = (scores.map, scores.mbevcd, scores.myaw_sim, scores.mpr_sim, scores.msize_sim, scores.mds)
+def score_table(scores: Scores, uncertainty: "Uncertainty | None" = None) -> str:
+    """Return one row for each class, the means below, and the signature as the last line.
+
+    With intervals each row is followed by one with theirs.
+    """
+    rows: list[tuple[str, ...]] = []
+    for item in scores.classes:
+        values = (percent(getattr(item, name)) for name in METRICS)
+        rows.append((item.label, str(item.ground_truth_count), *values, number(item.working_point)))
+        rows += _interval_rows(None if uncertainty is None else uncertainty.classes[item.label])
     boxes = sum(item.ground_truth_count for item in scores.classes)
-    mean = ("mean", str(boxes), *map(_percent, means), "")
-    return "\n".join([*_aligned([_COLUMNS, *rows, mean]), "", f"mDS {_percent(scores.mds)}  {scores.signature}"])
+    rows.append(("mean", str(boxes), *(percent(getattr(scores, name)) for name in MEANS), ""))
+    of_means = _interval_rows(None if uncertainty is None else uncertainty.means)
+    head, *lines = aligned([_COLUMNS, *rows, *of_means])
+    rule = "-" * len(head)
+    end = len(rows) - 1
+    table = [head, rule, *lines[:end], rule, *lines[end:]]
+    return "\n".join([*(line.rstrip() for line in table), "", *_last_lines(scores, uncertainty)])
 
 
-def _percent(value: float | None) -> str:
-    return _UNDEFINED if value is None else f"{100 * value:.2f}"
+def _interval_rows(intervals: "NamedIntervals | None") -> list[tuple[str, ...]]:
+    return [] if intervals is None else [("", "", *_bounds(intervals.values()), "")]
 
 
-def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    first, *rest = widths
-    lines = [
-        "  ".join(
-            [row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], rest, strict=True))]
-        ).rstrip()
-        for row in rows
+def _bounds(intervals: "Iterable[Interval | None]") -> list[str]:
+    return [UNDEFINED if part is None else f"{percent(part.lower, 1)}-{percent(part.upper, 1)}" for part in intervals]
+
+
+def _last_lines(scores: Scores, uncertainty: "Uncertainty | None") -> list[str]:
+    line = f"mDS {percent(scores.mds)}  {scores.signature}"
+    if uncertainty is None:
+        return [line]
+    level, drawn = f"{100 * uncertainty.level:g} %", f"{uncertainty.resamples} resamples of the {uncertainty.unit}s"
+    return [
+        f"Second lines: {level} confidence intervals, {uncertainty.method}, {drawn}; n/a: too few images or boxes.",
+        "",
+        line,
     ]
-    rule = "-" * (sum(widths) + 2 * len(rest))
-    return [lines[0], rule, *lines[1:-1], rule, lines[-1]]

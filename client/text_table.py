@@ -6,14 +6,18 @@ UNDEFINED = "n/a"
 
 
 def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a titled table: the first column to the left, the others to the right."""
-    lines = [header, *rows]
-    first, *rest = (max(len(cell) for cell in column) for column in zip(*lines, strict=True))
-    text = [
-        "  ".join([line[0].ljust(first), *(cell.rjust(width) for cell, width in zip(line[1:], rest, strict=True))])
-        for line in lines
+    """Return a titled table: the first column to the left, the others to the right, a rule below the header."""
+    head, *lines = aligned([header, *rows])
+    return "\n".join([title, head.rstrip(), "-" * len(head), *(line.rstrip() for line in lines)])
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines of equal length: the first column to the left, the others to the right."""
+    first, *rest = (max(map(len, column)) for column in zip(*rows, strict=True))
+    return [
+        "  ".join([row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], rest, strict=True))])
+        for row in rows
     ]
-    return "\n".join([title, text[0].rstrip(), "-" * len(text[0]), *(line.rstrip() for line in text[1:])])
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -21,9 +25,9 @@ def number(value: float | None, digits: int = 2) -> str:
     return UNDEFINED if value is None else f"{value:.{digits}f}"
 
 
-def percent(value: float | None) -> str:
+def percent(value: float | None, digits: int = 2) -> str:
     """Write a share in percent, "n/a" for None."""
-    return UNDEFINED if value is None else f"{100 * value:.2f}"
+    return UNDEFINED if value is None else f"{100 * value:.{digits}f}"
 
 
 def points(value: float | None) -> str:

@@ -64,16 +64,17 @@ def test_compare_splits_the_difference(capsys: pytest.CaptureFixture[str], worse
     assert difference.total < 0
     assert difference.parts.size_sim < 0
     assert difference.parts.yaw_sim == pytest.approx(0.0, abs=1e-12)
-    assert document["paired"]["mds"]["difference"]["estimate"] == pytest.approx(difference.total)
+    # Sixty images are too few for intervals.
+    assert document["paired"]["mds"] is None
 
 
-def test_compare_prints_a_table_and_the_bootstrap(capsys: pytest.CaptureFixture[str], worse: Path) -> None:
-    """Every class has a row, the sum is last, and the interval is below."""
+def test_compare_prints_a_table(capsys: pytest.CaptureFixture[str], worse: Path) -> None:
+    """Every class has a row, the sum is last, and what the bootstrap says is below: that sixty images are too few."""
     assert main(["compare", *ARGUMENTS, str(CASE / "pred"), str(worse)]) == 0
     printed = capsys.readouterr().out
     assert "points of mDS by class and part" in printed
     assert "\nall " in printed
-    assert "95 % interval" in printed
+    assert printed.rstrip().splitlines()[-1].startswith("Paired bootstrap over images: n/a")
 
 
 def test_equal_submissions_do_not_differ(capsys: pytest.CaptureFixture[str]) -> None:

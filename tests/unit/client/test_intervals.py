@@ -1,0 +1,93 @@
+"""Confidence intervals on the command line, on an imaginary benchmark large enough for some."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from client.main import main
+from evaluator.synthetic import QUALITIES, synthesize_ground_truth, synthesize_predictions, write_zip
+
+IMAGES = 120
+
+
+@pytest.fixture(scope="module")
+def benchmark(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ground truth with two methods, as zips."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    files = synthesize_ground_truth(IMAGES, seed=1)
+    write_zip(files, folder / "gt.zip")
+    for quality, name in ((QUALITIES[0], "good.zip"), (QUALITIES[-1], "bad.zip")):
+        write_zip(synthesize_predictions(files, quality, 2, 20), folder / name)
+    return folder
+
+
+def _evaluate(benchmark: Path, *options: str) -> int:
+    return main(["evaluate", "--gt", str(benchmark / "gt.zip"), str(benchmark / "good.zip"), *options])
+
+
+def test_every_row_is_followed_by_its_intervals(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The interval of a car's AP holds the AP above it; YawSim needs more boxes than these images have."""
+    assert _evaluate(benchmark, "--intervals") == 0
+
+    lines = capsys.readouterr().out.splitlines()
+    ap, bounds = float(lines[2].split()[2]), lines[3].split()
+    lower, upper = (float(bound) for bound in bounds[0].split("-"))
+    assert lines[2].startswith("car")
+    assert lower <= ap <= upper
+    assert len(bounds) == 6
+    assert lines[-3].startswith("Second lines: 95 % confidence intervals, bca, 1000 resamples of the images")
+    assert lines[-1].startswith("mDS ")
+
+
+def test_json_holds_the_intervals_of_depth_bins_too(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Estimates are the scores of the same document; without the option there is nothing of it."""
+    assert _evaluate(benchmark, "--intervals", "--format", "json") == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert _evaluate(benchmark, "--format", "json") == 0
+
+    car, uncertainty = document["classes"][0], document["uncertainty"]
+    assert uncertainty["level"] == 0.95
+    assert uncertainty["classes"]["car"]["ap"]["estimate"] == pytest.approx(car["ap"], abs=1e-12)
+    bins = uncertainty["depth_bins"]["car"]
+    assert len(bins) == len(car["depth_bins"]) == 20
+    assert any(part["ap"] for part in bins)
+    assert "uncertainty" not in json.loads(capsys.readouterr().out)
+
+
+def test_the_protocol_paper_has_intervals(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its AP comes from every score, its intervals, too."""
+    assert _evaluate(benchmark, "--intervals", "--format", "json", "--protocol", "paper") == 0
+
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    interval = document["uncertainty"]["classes"]["car"]["ap"]
+    assert interval["estimate"] == pytest.approx(document["classes"][0]["ap"], abs=1e-12)
+    assert interval["lower"] < interval["estimate"] < interval["upper"]
+
+
+def test_the_reference_format_has_no_place_for_intervals(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Asking for both is wrong usage."""
+    assert _evaluate(benchmark, "--intervals", "--format", "cityscapes") == 2
+    assert "no place for --intervals" in capsys.readouterr().err
+
+
+def test_compare_prints_difference_interval_and_p_value(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of cars, of which there are enough; the second method is worse, which cannot be chance."""
+    arguments = ["compare", "--gt", str(benchmark / "gt.zip"), str(benchmark / "good.zip"), str(benchmark / "bad.zip")]
+    assert main([*arguments, "--labels", "car"]) == 0
+
+    last = capsys.readouterr().out.splitlines()[-1]
+    # p = 2 (1 + 0) / 1001: no resample favours the second.
+    assert "95 % interval [-" in last
+    assert last.endswith("p = 0.002")
+
+
+@pytest.mark.parametrize("command", [["evaluate"], ["compare", "SECOND"]])
+def test_a_label_nobody_has_is_noted(benchmark: Path, capsys: pytest.CaptureFixture[str], command: list[str]) -> None:
+    """`Car` is not `car`: the scores are n/a, and a note says why; no note on a label that is there."""
+    paths = [str(benchmark / "good.zip")] * len(command)
+    assert main([command[0], "--gt", str(benchmark / "gt.zip"), *paths, "--labels", "Car", "car"]) == 0
+
+    notes = [line for line in capsys.readouterr().err.splitlines() if "has the label" in line]
+    assert notes == ["note: no box in the ground truth or the predictions has the label 'Car'."] * len(command)
