@@ -20,6 +20,9 @@ from evaluator.projection_to_the_bit import projected_to_the_bit_px
 ROUNDING = 1e-9
 """IoUs closer than this may be equal but for rounding; that of two ways to project one box is below 1e-10."""
 
+_BLOCK = 1024
+"""Boxes projected at a time, each with the corners of its six faces."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
@@ -83,22 +86,19 @@ def _hangs_on_rounding(
 
 
 def _projected(rows: RowArray, ground_truth: GroundTruth, predictions: Predictions) -> Float64Array:
-    """Return (4, R) boxes of some predictions, in the reference's layout; equal predictions are projected once."""
-    image = predictions.image_index[rows]
-    table: Float64Array = np.empty((len(rows), 11))
-    table[:, 0], table[:, 1:4] = image, predictions.center_m[rows]
-    table[:, 4:7], table[:, 7:] = predictions.dimensions_m[rows], predictions.rotation[rows]
-    keys = [row.tobytes() for row in table]
-    distinct = {key: _projected_row(row, ground_truth) for key, row in dict(zip(keys, table, strict=True)).items()}
-    return through_width_and_height(np.array([distinct[key] for key in keys]).T)
-
-
-def _projected_row(row: Float64Array, ground_truth: GroundTruth) -> list[float]:
-    """Project one row of image, centre, dimensions, rotation."""
-    image = int(row[0])
-    return projected_to_the_bit_px(
-        row[1:4], row[4:7], row[7:11], ground_truth.intrinsics_px[image], ground_truth.sensor_from_vehicle[image]
-    )
+    """Return (4, R) boxes of some predictions, in the reference's layout."""
+    boxes = np.empty((4, len(rows)))
+    for start in range(0, len(rows), _BLOCK):
+        block = rows[start : start + _BLOCK]
+        image = predictions.image_index[block]
+        boxes[:, start : start + _BLOCK] = projected_to_the_bit_px(
+            predictions.center_m[block],
+            predictions.dimensions_m[block],
+            predictions.rotation[block],
+            ground_truth.intrinsics_px[image],
+            ground_truth.sensor_from_vehicle[image],
+        )
+    return through_width_and_height(boxes)
 
 
 def through_width_and_height(boxes: Float64Array) -> Float64Array:

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from evaluator.errors import UsageError
+from evaluator.ground_truth import GroundTruth
 from evaluator.matching import Edges, Matches, match, take_edges
 from evaluator.overlap import corners_px, covered_fractions, intersections_over_unions
 from evaluator.paper_matching import projected_boxes
+from evaluator.predictions import Float64Array
 from evaluator.projection_to_the_bit import projected_to_the_bit_px
 from evaluator.protocol import CITYSCAPES3D
 from evaluator.rounding import Pairs, settled
@@ -174,20 +176,41 @@ def test_too_many_thresholds_are_refused() -> None:
         score_thresholds(msgspec.structs.replace(CITYSCAPES3D, score_steps=200))
 
 
-def test_projection_to_the_bit_agrees_with_the_fast_one() -> None:
-    """Boxes ahead, around and behind the camera: the same corners to 1e-9 px."""
-    truth = make_ground_truth(
+def _around_the_camera() -> GroundTruth:
+    """Sixteen boxes ahead of, around and behind the camera."""
+    return make_ground_truth(
         [Box(center=(x, y, 0.8), yaw=yaw) for x in (-20.0, 0.5, 12.0, 60.0) for y in (-5.0, 1.0) for yaw in (0.0, 0.7)]
     )
 
+
+def _to_the_bit(truth: GroundTruth, rows: slice) -> Float64Array:
+    camera = truth.image_index[rows]
+    return projected_to_the_bit_px(
+        truth.center_m[rows],
+        truth.dimensions_m[rows],
+        truth.rotation[rows],
+        truth.intrinsics_px[camera],
+        truth.sensor_from_vehicle[camera],
+    )
+
+
+def test_projection_to_the_bit_agrees_with_the_fast_one() -> None:
+    """Boxes ahead, around and behind the camera: the same corners to 1e-8 px."""
+    truth = _around_the_camera()
+
     fast = projected_boxes(truth, truth)
-    exact = [
-        projected_to_the_bit_px(c, d, r, truth.intrinsics_px[0], truth.sensor_from_vehicle[0])
-        for c, d, r in zip(truth.center_m, truth.dimensions_m, truth.rotation, strict=True)
-    ]
 
     clipped = np.clip(fast, 0, [[2047], [1023], [2047], [1023]])
-    assert np.abs(clipped.T - exact).max() < 1e-8
+    assert np.abs(clipped - _to_the_bit(truth, slice(None))).max() < 1e-8
+
+
+def test_projection_to_the_bit_does_not_depend_on_the_other_boxes() -> None:
+    """Each box by itself gives the very bits that all of them together give."""
+    truth = _around_the_camera()
+
+    alone = np.concatenate([_to_the_bit(truth, slice(row, row + 1)) for row in range(len(truth))], axis=1)
+
+    assert _to_the_bit(truth, slice(None)).tobytes() == alone.tobytes()
 
 
 def test_boxes_that_differ_by_rounding_alone_are_ordered_as_in_the_reference() -> None:
