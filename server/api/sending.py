@@ -156,8 +156,9 @@ async def send_submission(
         "description": description,
         "file_name": file_name,
         "team": team,
-        "idempotency_key": request.headers.get("idempotency-key"),
+        "idempotency_key": idempotency_key(request),
     }
+    refuse_content_coding(request)
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind in ARCHIVE_TYPES:
         submission_id = await receive_raw(request, web, asker, given)
@@ -165,6 +166,29 @@ async def send_submission(
         boundary = boundary_of(request.headers.get("content-type", ""))
         submission_id = await receive_form(request, web, asker, given, boundary)
     return await run_in_threadpool(accepted, web, asker, submission_id)
+
+
+def idempotency_key(request: Request) -> str | None:
+    """Read the one Idempotency-Key.
+
+    Raises:
+        MalformedRequest: There are several, and no way to tell which is meant.
+    """
+    keys = request.headers.getlist("idempotency-key")
+    if len(keys) > 1:
+        raise MalformedRequest("Send one Idempotency-Key, not several.")
+    return keys[0] if keys else None
+
+
+def refuse_content_coding(request: Request) -> None:
+    """Refuse a body that was compressed on top: nothing here undoes that (RFC 9110, section 8.4).
+
+    Raises:
+        UnsupportedMediaType: A Content-Encoding other than `identity` is announced.
+    """
+    coding = request.headers.get("content-encoding", "identity").strip().lower()
+    if coding not in {"", "identity"}:
+        raise UnsupportedMediaType("Send the archive as it is, without Content-Encoding; a zip is compressed already.")
 
 
 async def receive_raw(request: Request, web: Web, asker: Credentials, given: dict[str, str | None]) -> str:

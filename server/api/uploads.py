@@ -38,7 +38,7 @@ from server.api.errors import (
 from server.api.identity import Credentials, Identity
 from server.api.parts import PartFile, locked
 from server.api.receiving import Admission, Order
-from server.api.sending import SENDING_PROBLEMS, Text, accepted, order_of
+from server.api.sending import SENDING_PROBLEMS, Text, accepted, order_of, refuse_content_coding
 from server.api.spool import SpooledFile, at_a_decent_pace, check_floor
 from server.errors import NotAuthenticated, NotFound
 from server.models import Team, Upload
@@ -204,6 +204,7 @@ async def append_part(
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != PART_TYPE:
         raise UnsupportedMediaType(f"Send a part as {PART_TYPE}.")
+    refuse_content_coding(request)
     announced = announced_sha256(request.headers)
     known = await run_in_threadpool(_open, web, asker, upload_id)
     if known.submission_id is None:
@@ -272,7 +273,7 @@ async def _take(
 
 
 def _write(web: Web, part: PartFile, data: bytes) -> None:
-    check_floor(web.gate.folder, web.gate.limits, len(data))
+    check_floor(uploads.folder_of(web.services.settings.data_dir), web.gate.limits, len(data))
     part.append(data)
 
 

@@ -1,18 +1,26 @@
-"""One web application per test, on SQLite and without a broker: an upload must not need one."""
+"""One web application per test, in both shapes.
+
+Embedded: SQLite, a folder, and nobody behind the broker's address, for an upload must not need one. Scale-out:
+PostgreSQL, an S3 server and Redis.
+"""
 
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from server import database
 from server.services import Services
 from server.settings import Settings
 from tests.integration.site import Site, populate, running_site
+from tests.services.fixtures import Shape
 from tests.services.installation import SMALL_CASE, zip_of
 from worker.evaluation import evaluate_submission
 from worker.sandbox import Sandbox
+
+ONE_SHAPE = {"test_corpus", "test_contract"}
+"""Hundreds of archives, and of requests made at random: what they try lies before the database and the blobs."""
 
 
 @pytest.fixture(scope="session")
@@ -21,14 +29,26 @@ def archive() -> bytes:
     return zip_of(SMALL_CASE / "pred")
 
 
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run the modules of `ONE_SHAPE` once."""
+    name = metafunc.module.__name__.rpartition(".")[2]
+    if name in ONE_SHAPE and "shape" in metafunc.fixturenames:
+        metafunc.parametrize("shape", ["embedded"], indirect=True)
+
+
 @pytest.fixture
-def quiet_services(tmp_path: Path) -> Iterator[Services]:
-    """Give services on a new data folder, with nobody behind the broker's address."""
-    nobody = f"redis+socket://{tmp_path / 'nobody.sock'}"
-    services = Services.from_settings(
-        Settings(data_dir=tmp_path / "data", broker_url=nobody, broker_timeout_s=0.2, disk_floor_bytes=0)
+def quiet_services(
+    shape: Shape, shape_settings: dict[str, Any], tmp_path: Path, request: pytest.FixtureRequest
+) -> Iterator[Services]:
+    """Give services on an empty installation without workers."""
+    if shape == "embedded":
+        broker_url = f"redis+socket://{tmp_path / 'nobody.sock'}"
+    else:
+        broker_url = request.getfixturevalue("broker").url
+    settings = Settings(
+        data_dir=tmp_path / "data", broker_url=broker_url, broker_timeout_s=0.2, disk_floor_bytes=0, **shape_settings
     )
-    database.migrate(services.engine)
+    services = Services.from_settings(settings)
     populate(services)
     yield services
     services.close()

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from server import benchmarks, rescoring
+from server import benchmarks, rescoring, rescoring_decisions
 from tests.integration.record.three_methods import predictions, second_ground_truth
 from tests.integration.site import Site, send
 from worker.rescoring import evaluate_item
@@ -38,7 +38,7 @@ def test_results_list_every_score_and_give_any(
         assert client.get(results, headers={"If-None-Match": first.headers["etag"]}).status_code == 304
         assert client.get(results, params={"score": old["id"] + 1}).status_code == 404
         with site.services.transaction() as session:
-            rescoring.publish(session, benchmarks.find_phase(session, "cs3d", "test"), "admin:test")
+            rescoring_decisions.publish(session, benchmarks.find_phase(session, "cs3d", "test"), "admin:test")
         after = client.get(results, headers={"If-None-Match": first.headers["etag"]})
         assert after.status_code == 200
         # On the second ground truth these predictions are perfect.
@@ -58,7 +58,7 @@ def test_the_page_lists_both_scores(site: Site, sandbox: Sandbox, score: Callabl
             assert "Every score of this submission" not in visitor.get(f"/submissions/{submission_id}").text
             _score_again(site, sandbox, tmp_path)
             with site.services.transaction() as session:
-                rescoring.publish(session, benchmarks.find_phase(session, "cs3d", "test"), "admin:test")
+                rescoring_decisions.publish(session, benchmarks.find_phase(session, "cs3d", "test"), "admin:test")
             page = visitor.get(f"/submissions/{submission_id}").text
         assert "Every score of this submission" in page
         assert page.count("/results?score=") == 2

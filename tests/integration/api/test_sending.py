@@ -75,6 +75,7 @@ def test_a_form_is_taken(site: Site, archive: bytes) -> None:
     [
         ({}, {"Content-Type": "text/plain"}, 415, "unsupported_media_type"),
         ({}, {"Content-Type": ""}, 415, "unsupported_media_type"),
+        ({}, {"Content-Encoding": "gzip"}, 415, "unsupported_media_type"),
         ({}, {"Content-Type": "multipart/form-data"}, 400, "malformed_request"),
         ({}, {"Content-Type": "multipart/form-data; boundary=x"}, 400, "malformed_request"),
         ({"method": ""}, {}, 422, "invalid_request"),
@@ -281,6 +282,15 @@ def test_a_key_stands_for_one_request(site: Site, archive: bytes) -> None:
         response = send(client, archive, method="theirs", Idempotency_Key="run-7")
     assert (response.status_code, problem_of(response)["code"]) == (422, "idempotency_mismatch")
     assert recorded(site.services) == (1, 1)
+
+
+def test_two_keys_are_none(site: Site, archive: bytes) -> None:
+    """Two Idempotency-Keys in one request are 400: which of them is meant is not guessed."""
+    keys = [("Content-Type", "application/zip"), ("Idempotency-Key", "a"), ("Idempotency-Key", "b")]
+    with site.client(site.token()) as client:
+        response = client.post("/api/v1/submissions", params=PARAMS, content=archive, headers=keys)
+    assert (response.status_code, problem_of(response)["code"]) == (400, "malformed_request")
+    assert recorded(site.services) == (0, 0)
 
 
 def test_a_right_digest_is_taken(site: Site, archive: bytes) -> None:

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import threading
 from collections.abc import Iterator
 
 import httpx
@@ -182,6 +183,39 @@ def test_parts_have_their_own_media_type(site: Site, archive: bytes) -> None:
         address = begin(client, len(archive))
         response = client.patch(address, content=archive, headers={"Upload-Offset": "0"})
     assert (response.status_code, response.json()["code"]) == (415, "unsupported_media_type")
+
+
+def test_parts_are_not_compressed_on_top(site: Site, archive: bytes) -> None:
+    """A part with a content coding, which nothing here undoes, is 415 and not kept."""
+    with site.client(site.token()) as client:
+        address = begin(client, len(archive))
+        response = part(client, address, 0, archive, Content_Encoding="gzip")
+        assert (response.status_code, response.json()["code"]) == (415, "unsupported_media_type")
+        assert client.head(address).headers["upload-offset"] == "0"
+
+
+def test_last_parts_at_once_make_one_submission(site: Site, archive: bytes) -> None:
+    """Of eight simultaneous last parts one makes the submission; the others are told so, or that one is writing."""
+    answers: list[httpx.Response] = []
+    token = site.token()
+    with site.client(token) as client:
+        address = begin(client, len(archive))
+        assert part(client, address, 0, archive[:50]).status_code == 204
+
+    def request() -> None:
+        with site.client(token) as client:
+            answers.append(part(client, address, 50, archive[50:]))
+
+    threads = [threading.Thread(target=request) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert {answer.status_code for answer in answers} <= {202, 409}
+    assert {answer.json()["code"] for answer in answers if answer.status_code == 409} <= {"upload_busy"}
+    assert len({answer.json()["id"] for answer in answers if answer.status_code == 202}) == 1
+    with site.client(token) as client:
+        assert len(client.get("/api/v1/submissions").json()["submissions"]) == 1
 
 
 def test_unfinished_uploads_are_bounded(site: Site) -> None:
