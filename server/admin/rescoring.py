@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from evaluator.errors import UsageError
 from evaluator.protocol import PROTOCOLS
-from server import benchmarks, submissions
+from server import benchmarks, rescoring_decisions, submissions
 from server import rescoring as record
 from server.admin.command import DONE, REFUSED, Outcome, Subparsers, actor, add, table
 from server.models import Phase
@@ -145,7 +145,7 @@ def retry(args: argparse.Namespace, services: Services) -> Outcome:
     """Let what failed be tried again."""
     with services.transaction() as session:
         chosen = submissions.find(session, args.submission).id if args.submission else None
-        items = record.retry(session, record.get_running(session, _phase(session, args)), actor(), chosen)
+        items = rescoring_decisions.retry(session, record.get_running(session, _phase(session, args)), actor(), chosen)
     data = {"retried": len(items), "sent": _send(services, items)}
     return Outcome(data=data, text=f"{len(items)} submissions wait again.")
 
@@ -155,7 +155,7 @@ def exclude(args: argparse.Namespace, services: Services) -> Outcome:
     with services.transaction() as session:
         submission_id: uuid.UUID = submissions.find(session, args.submission).id
         rescoring = record.get_running(session, _phase(session, args))
-        record.exclude(session, rescoring, submission_id, args.reason, actor())
+        rescoring_decisions.exclude(session, rescoring, submission_id, args.reason, actor())
     return Outcome(data={"excluded": str(submission_id)}, text=f"Excluded {submission_id}.")
 
 
@@ -165,7 +165,7 @@ def publish(args: argparse.Namespace, services: Services) -> Outcome:
         phase = _phase(session, args)
         record.lock_phase(session, phase)
         changes = _diff_document(rank_changes(session, phase, record.get_running(session, phase)))
-        rescoring = record.publish(session, phase, actor(), rows=changes["rows"])
+        rescoring = rescoring_decisions.publish(session, phase, actor(), rows=changes["rows"])
         basis = record.describe(session, Basis.of(rescoring))
     text = f"In force: protocol {basis['protocol']}, evaluator {basis['evaluator_version']},"
     return Outcome(
@@ -176,5 +176,5 @@ def publish(args: argparse.Namespace, services: Services) -> Outcome:
 def discard(args: argparse.Namespace, services: Services) -> Outcome:
     """End the re-scoring without effect; its scores are shown to nobody."""
     with services.transaction() as session:
-        rescoring = record.discard(session, _phase(session, args), actor())
+        rescoring = rescoring_decisions.discard(session, _phase(session, args), actor())
     return Outcome(data={"discarded": rescoring.id}, text="Discarded. What ranks is unchanged.")

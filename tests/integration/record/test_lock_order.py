@@ -8,7 +8,7 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from server import lifecycle, rescoring, submissions
+from server import lifecycle, rescoring, rescoring_decisions, submissions
 from server.errors import NotScored, ServerError
 from server.models import Submission
 from tests.integration.record.three_methods import Rescored
@@ -90,7 +90,7 @@ def test_putting_a_rescoring_in_force_meets_a_publication(installation: Installa
         installation,
         waiting,
         lambda session: rescoring.lock_phase(session, rescored.phase(session)),
-        lambda session: rescoring.publish(session, rescored.phase(session), "admin:test"),
+        lambda session: rescoring_decisions.publish(session, rescored.phase(session), "admin:test"),
     )
     assert refusal is None
     assert rescored.board() == [("partial", 1), ("complete", 2)]

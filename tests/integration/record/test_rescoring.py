@@ -2,21 +2,37 @@
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
-from server import audit, lifecycle, rescoring, submissions
+from server import (
+    audit,
+    backup,
+    database,
+    integrity,
+    lifecycle,
+    ranking,
+    rescoring,
+    rescoring_decisions,
+    rescoring_items,
+    submissions,
+)
 from server.checker import check
-from server.errors import Conflict, NotFound, NotScored
+from server.errors import Conflict, Held, NotFound, NotScored
 from server.models import AttemptOutcome, ItemState, Publication, RescoringItem, SubmissionState
+from server.rank_changes import rank_changes
 from server.ranking import history, ranking_score
+from server.services import Services
+from server.settings import Settings
 from tests.integration.record.three_methods import Rescored, predictions, run, second_ground_truth
 from tests.services.installation import Installation
 from tests.services.processes import wait_until
 from worker.attempt import Attempt
 from worker.evaluation import carry_out, evaluate_submission
+from worker.rescoring import ItemAttempt
 from worker.sandbox import Sandbox
 
 OLD_ORDER = [("complete", 1), ("partial", 2), ("rough", 3)]
@@ -174,14 +190,14 @@ def test_an_excluded_submission_leaves_the_leaderboard(rescored: Rescored) -> No
         rescored.publish()
     with rescored.services.transaction() as session:
         one = rescoring.get_running(session, rescored.phase(session))
-        rescoring.exclude(session, one, rescored.ids["rough"], "its bytes are lost", "admin:test")
+        rescoring_decisions.exclude(session, one, rescored.ids["rough"], "its bytes are lost", "admin:test")
     assert rescored.board() == OLD_ORDER
     rescored.publish()
     assert rescored.board() == NEW_ORDER[:2]
     with rescored.services.transaction() as session:
         rough = submissions.find(session, rescored.ids["rough"])
         assert rough.publication is Publication.WITHDRAWN
-        assert rescoring.exclusion_reason(session, rough) == "its bytes are lost"
+        assert rescoring_decisions.exclusion_reason(session, rough) == "its bytes are lost"
         with pytest.raises(NotScored):
             submissions.publish(session, rough, "user:1")
 
@@ -191,7 +207,7 @@ def test_a_discarded_rescoring_leaves_no_trace_in_the_ranking(rescored: Rescored
     first, second, _ = rescored.start()
     rescored.work(first)
     with rescored.services.transaction() as session:
-        rescoring.discard(session, rescored.phase(session), "admin:test")
+        rescoring_decisions.discard(session, rescored.phase(session), "admin:test")
     rescored.work(second)
     assert rescored.board() == OLD_ORDER
     assert [len(rescored.installation.load(key).scores) for key in rescored.ids.values()] == [2, 1, 1]
@@ -225,3 +241,88 @@ def test_nothing_is_begun_without_need(rescored: Rescored) -> None:
     rescored.start()
     with rescored.services.transaction() as session, pytest.raises(Conflict, match="already"):
         rescoring.start(session, phase=rescored.phase(session), protocol="paper", actor="admin:test")
+
+
+class Suspicious(ItemAttempt):
+    """Scores whose audit gives a reason to look."""
+
+    def _scored(self) -> None:
+        path = self.folder / "integrity.json"
+        findings = {**json.loads(path.read_bytes()), "held": True, "reasons": ["The modal boxes gain too much."]}
+        path.write_text(json.dumps(findings))
+        super()._scored()
+
+
+def test_findings_on_new_scores_are_the_maintainers_to_judge(rescored: Rescored) -> None:
+    """What the audit of a new score finds stands in the diff and takes nothing down; `hold` does, until `release`."""
+    first, *others = rescored.start()
+    rescored.work(*others)
+    with rescored.services.transaction() as session:
+        held = rescoring_items.claim(session, first, worker="w", lease_s=60)
+    assert held is not None
+    carry_out(Suspicious(rescored.services, held), rescored.sandbox)
+    with rescored.services.snapshot() as session:
+        phase = rescored.phase(session)
+        (finding,) = rank_changes(session, phase, rescoring.get_running(session, phase)).findings
+    assert (finding.submission, finding.held) == (str(rescored.ids["complete"]), None)
+    assert finding.reasons == ["The modal boxes gain too much."]
+    rescored.publish()
+    assert rescored.board() == NEW_ORDER
+    with rescored.services.transaction() as session:
+        complete = submissions.find(session, rescored.ids["complete"])
+        submissions.hold(session, complete, reason=finding.reasons[0], actor="admin:test")
+    assert rescored.board() == [("partial", 1), ("rough", 2)]
+    with rescored.services.transaction() as session:
+        complete = submissions.find(session, rescored.ids["complete"])
+        with pytest.raises(Held):
+            submissions.publish(session, complete, "user:1")
+        integrity.release(session, complete, "admin:test")
+        submissions.publish(session, complete, "user:1")
+    assert rescored.board() == NEW_ORDER
+    assert check(rescored.services) == []
+
+
+def test_decisions_by_command(
+    rescored: Rescored, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Status draws a bar; a submission is excluded, taken back and excluded again; a refusal and a discard are told."""
+    first, *_ = rescored.start()
+    rescored.work(first)
+    rough = str(rescored.ids["rough"])
+
+    def command(action: str, *more: str) -> tuple[int, str]:
+        status = run(rescored.installation, monkeypatch, "rescore", action, "cs3d", "test", *more)
+        return status, capsys.readouterr().out
+
+    status, text = command("status")
+    assert (status, text) == (0, f"[{'#' * 10}{'-' * 20}] 1/3 2 waiting, 1 done\n")
+    assert command("exclude", rough, "--reason", "its camera was wrong")[0] == 0
+    assert "1 excluded" in command("status")[1]
+    assert command("retry", rough) == (0, "1 submissions wait again.\n")
+    assert command("exclude", rough, "--reason", " ")[0] == 1
+    status, text = command("diff")
+    assert status == 0
+    assert "Not complete" in text
+    assert command("publish")[0] == 1
+    assert command("discard") == (0, "Discarded. What ranks is unchanged.\n")
+    assert command("status")[0] == 1
+
+
+def test_a_backup_holds_rescorings(rescored: Rescored, tmp_path: Path) -> None:
+    """A record with a published re-scoring is backed up whole, and restored it ranks and checks as before."""
+    rescored.work(*rescored.start())
+    rescored.publish()
+    counts = backup.backup(rescored.services, tmp_path / "backup")
+    assert (counts["rescoring"], counts["rescoring_item"]) == (1, 3)
+    restored = Services.from_settings(
+        Settings(data_dir=tmp_path / "restored", broker_url=rescored.installation.broker.url)
+    )
+    try:
+        database.migrate(restored.engine)
+        assert backup.restore(restored, tmp_path / "backup") == counts
+        assert check(restored) == []
+        with restored.snapshot() as session:
+            rows = ranking.leaderboard(session, rescored.phase(session)).rows
+        assert [(row.method.slug, row.rank) for row in rows] == NEW_ORDER
+    finally:
+        restored.close()

@@ -9,13 +9,13 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from server import database, ranking, rescoring, rescoring_items, rescoring_sweeper, submissions
+from server import database, ranking, rescoring, rescoring_decisions, rescoring_items, rescoring_sweeper, submissions
 from server.checker import check
 from server.claims import Claim
 from server.errors import LeaseLost
 from server.models import AuditEvent, ItemState, Rescoring, RescoringItem, SubmissionState
 from server.queue import PRIORITY_BULK, PRIORITY_NORMAL
-from tests.faults import hooks
+from tests.faults import points
 from tests.integration.record.three_methods import Rescored, predictions
 from tests.services.installation import Installation
 from tests.services.processes import wait_until
@@ -81,12 +81,12 @@ def test_a_worker_killed_at_an_item_is_replaced(rescored: Rescored) -> None:
     installation = rescored.installation
     faults = installation.folder / "faults"
     faults.mkdir()
-    hooks.arm(faults, "scored", hooks.Strike(stop=True))
+    points.arm(faults, "scored", points.Strike(stop=True))
     first, second = rescored.start()
     rescored.services.queue.enqueue_item(first)
     rescored.services.queue.enqueue_item(second)
-    installation.start_worker(module="tests.faults.worker_app", extra={hooks.FOLDER_VARIABLE: str(faults)})
-    wait_until(lambda: hooks.taken_by(faults, "scored"), what="a strike")
+    installation.start_worker(module="tests.faults.worker_app", extra={points.FOLDER_VARIABLE: str(faults)})
+    wait_until(lambda: points.taken_by(faults, "scored"), what="a strike")
     installation.workers[0].kill()
     installation.start_worker()
     wait_until(lambda: rescored.progress().complete, what="both items")
@@ -121,7 +121,7 @@ def test_a_discarded_rescoring_ends_every_hold(rescored: Rescored) -> None:
     item_id, _ = rescored.start()
     held = _claim(rescored, item_id)
     with rescored.services.transaction() as session:
-        rescoring.discard(session, rescored.phase(session), "admin:test")
+        rescoring_decisions.discard(session, rescored.phase(session), "admin:test")
     with rescored.services.transaction() as session:
         with pytest.raises(LeaseLost):
             rescoring_items.heartbeat(session, held, stage="scoring", images_done=0, images_total=1)
@@ -140,7 +140,7 @@ def test_lost_attempts_are_capped_and_retried_by_command(rescored: Rescored) -> 
     assert failure.failure_code == "attempts_exhausted"
     with rescored.services.transaction() as session:
         one = rescoring.get_running(session, rescored.phase(session))
-        assert rescoring.retry(session, one, "admin:test") == [item_id]
+        assert rescoring_decisions.retry(session, one, "admin:test") == [item_id]
     rescored.work(item_id, other)
     assert rescored.counts() == {ItemState.DONE: 2}
 
@@ -173,7 +173,7 @@ def test_a_reader_sees_the_old_ranking_or_the_new_one(rescored: Rescored) -> Non
     with rescored.services.snapshot() as reading:
         phase = rescored.phase(reading)
         with rescored.services.transaction() as session:
-            rescoring.publish(session, rescored.phase(session), "admin:test")
+            rescoring_decisions.publish(session, rescored.phase(session), "admin:test")
             session.flush()
             assert rescored.board() == old
         assert [(row.method.slug, row.rank) for row in ranking.leaderboard(reading, phase).rows] == old

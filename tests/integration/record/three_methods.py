@@ -16,7 +16,7 @@ import pytest
 import structlog
 from sqlalchemy.orm import Session
 
-from server import benchmarks, ranking, rescoring, submissions
+from server import benchmarks, ranking, rescoring, rescoring_decisions, submissions
 from server.admin.main import main
 from server.models import ItemState, Phase, SubmissionState
 from server.rescoring import Progress
@@ -124,7 +124,7 @@ class Rescored:
     def publish(self) -> None:
         """Put it in force."""
         with self.services.transaction() as session:
-            rescoring.publish(session, self.phase(session), "admin:test")
+            rescoring_decisions.publish(session, self.phase(session), "admin:test")
 
     def board(self) -> list[tuple[str, int | None]]:
         """Read the leaderboard: methods with their ranks."""
