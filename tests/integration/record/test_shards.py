@@ -1,58 +1,26 @@
 """Sharded scoring: several workers match one submission's images; whatever is lost, it ends as if one had done all."""
 
-import os
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Iterator
 from datetime import timedelta
-from pathlib import Path
 
 import msgspec
-import psutil
 import pytest
 import sqlalchemy as sa
-from sqlalchemy.orm import Session
 
-from server import benchmarks, blobs, database, lifecycle, shards
+from server import blobs, database, shards
 from server.checker import check
-from server.claims import Claim, ShardClaim
-from server.errors import InvalidField, ShardLost
-from server.models import AttemptOutcome, Phase, Shard, Submission, SubmissionState
-from tests.faults import hooks
+from server.models import AttemptOutcome, Shard, Submission, SubmissionState
+from tests.faults import points
+from tests.integration.record.sharded import WatchedSandbox, divide, once, shard_rows
 from tests.services.installation import Installation
 from tests.services.processes import wait_until
 from worker.evaluation import evaluate_submission, match_shard
-from worker.messages import AnyJob, Event, Reduction, ShardJob
+from worker.messages import AnyJob, Reduction, ShardJob
 from worker.sandbox import Sandbox
 
 SHARDS = 2
 PATIENT = pytest.mark.parametrize("services", [{"lease_s": 60.0}], indirect=True)
 """No lease runs out by itself, however slow the machine is."""
-Before = Callable[[AnyJob], AnyJob]
-
-
-class WatchedSandbox(Sandbox):
-    """A real scoring process; tests act before its jobs, and kill its children."""
-
-    def __init__(self, before: Before = lambda job: job) -> None:
-        """Call `before` ahead of each job; it may give another one."""
-        super().__init__()
-        self.before = before
-        self.kills = 0
-        """So many jobs on shards are killed."""
-
-    def events(self, job: AnyJob, *, tick_s: float) -> Generator[Event | None, None, None]:
-        """Run the job, or kill it for certain before it ends: nobody ever writes what it waits for."""
-        job = self.before(job)
-        if not (isinstance(job, ShardJob) and self.kills):
-            yield from super().events(job, tick_s=tick_s)
-            return
-        self.kills -= 1
-        os.mkfifo(fifo := str(Path(job.folder) / "fifo"))
-        events = super().events(msgspec.structs.replace(job, ground_truth=fifo), tick_s=0.1)
-        yield next(events)
-        assert self._process is not None
-        for child in psutil.Process(self._process.pid).children():
-            child.kill()
-        yield from events
 
 
 @pytest.fixture
@@ -74,14 +42,8 @@ def other_sandbox() -> Iterator[WatchedSandbox]:
 @pytest.fixture
 def sharded(installation: Installation) -> Installation:
     """Give an installation whose phase is scored in two shards, of one image each."""
-    _divide(installation, SHARDS)
+    divide(installation, SHARDS)
     return installation
-
-
-def _divide(installation: Installation, count: int) -> None:
-    with installation.services.transaction() as session:
-        phase = benchmarks.find_phase(session, "cs3d", "test")
-        benchmarks.set_shards(session, phase, count, actor="admin:test")
 
 
 def _results(installation: Installation, submission: Submission) -> tuple[bytes, bytes, bytes]:
@@ -94,16 +56,11 @@ def _results(installation: Installation, submission: Submission) -> tuple[bytes,
 
 def _whole(installation: Installation, sandbox: Sandbox) -> tuple[bytes, bytes, bytes]:
     """Score the case's predictions in one piece."""
-    _divide(installation, 1)
+    divide(installation, 1)
     submission_id = installation.submit(enqueue=False)
     evaluate_submission(installation.services, sandbox, submission_id, worker="whole")
-    _divide(installation, SHARDS)
+    divide(installation, SHARDS)
     return _results(installation, installation.load(submission_id))
-
-
-def _rows(installation: Installation) -> list[Shard]:
-    with installation.services.snapshot() as session:
-        return list(session.scalars(sa.select(Shard).order_by(Shard.number)))
 
 
 def _score(installation: Installation, sandbox: Sandbox) -> Submission:
@@ -113,46 +70,13 @@ def _score(installation: Installation, sandbox: Sandbox) -> Submission:
     return installation.load(submission_id)
 
 
-def _once(act: Callable[[AnyJob], None], kind: type[AnyJob]) -> Before:
-    """Act before the first job of a kind."""
-    done: list[AnyJob] = []
-
-    def before(job: AnyJob) -> AnyJob:
-        if isinstance(job, kind) and not done:
-            done.append(job)
-            act(job)
-        return job
-
-    return before
-
-
-def _divided(installation: Installation) -> Claim:
-    """Hold a submission whose shards wait, as a worker does that has prepared it; its predictions are of no use."""
-    services = installation.services
-    submission_id = installation.submit(enqueue=False)
-    with services.transaction() as session:
-        held = lifecycle.claim(session, submission_id, worker="holder", lease_s=60)
-        assert held is not None
-    sha256 = services.blobs.put_bytes(b"arrays")
-    with services.transaction() as session:
-        shards.divide(session, services.blobs, held, predictions_sha256=sha256, ranges=[range(1), range(1, 2)])
-    return held
-
-
-def _claim(
-    installation: Installation, held: Claim, number: int | None = None, lease_s: float = 60
-) -> ShardClaim | None:
-    with installation.services.transaction() as session:
-        return shards.claim(session, held.submission_id, held.attempt, number, worker="other", lease_s=lease_s)
-
-
 def test_shards_score_as_one(installation: Installation, sandbox: WatchedSandbox) -> None:
     """One process alone, all messages lost, scores the same bytes in 1, 2 and 7 shards and in more than images."""
     results = []
     for count in (1, 2, 7, 64):
-        _divide(installation, count)
+        divide(installation, count)
         results.append(_results(installation, _score(installation, sandbox)))
-        assert _rows(installation) == []
+        assert shard_rows(installation) == []
     assert results == [results[0]] * 4
     assert check(installation.services) == []
 
@@ -168,7 +92,7 @@ def test_real_workers_share_a_submission(sharded: Installation, sandbox: Watched
     submission = sharded.wait_for(submission_id, SubmissionState.SCORED)
     assert _results(sharded, submission) == whole
     assert [attempt.outcome for attempt in submission.attempts] == [AttemptOutcome.SCORED]
-    assert _rows(sharded) == []
+    assert shard_rows(sharded) == []
     assert check(sharded.services) == []
 
 
@@ -181,23 +105,23 @@ def test_another_worker_does_its_part(
     rows: list[Shard] = []
 
     def help_out(job: AnyJob) -> None:
-        held = _rows(sharded)[0]
+        held = shard_rows(sharded)[0]
         for number in (0, 0, 1, 1, 7):  # the holder holds the last one, and there is no 7
             match_shard(sharded.services, other_sandbox, held.submission_id, held.attempt, number, worker="other")
         del job
 
     def look(job: AnyJob) -> AnyJob:
         if isinstance(job, Reduction):
-            rows.extend(_rows(sharded))
+            rows.extend(shard_rows(sharded))
         return helping(job)
 
-    helping = _once(help_out, ShardJob)
+    helping = once(help_out, ShardJob)
     sandbox.before = look
     submission = _score(sharded, sandbox)
     assert [(row.worker, row.claims) for row in rows] == [("other", 1), ("holder", 1)]
     assert _results(sharded, submission) == whole
     match_shard(sharded.services, other_sandbox, submission.id, 1, 0, worker="other")
-    assert _rows(sharded) == []
+    assert shard_rows(sharded) == []
 
 
 def test_a_silent_workers_shard_is_taken_over(sharded: Installation, sandbox: WatchedSandbox) -> None:
@@ -205,17 +129,17 @@ def test_a_silent_workers_shard_is_taken_over(sharded: Installation, sandbox: Wa
     rows: list[Shard] = []
 
     def take_and_die(job: AnyJob) -> None:
-        row = _rows(sharded)[0]
+        row = shard_rows(sharded)[0]
         with sharded.services.transaction() as session:
             assert shards.claim(session, row.submission_id, row.attempt, 0, worker="dead", lease_s=1)
         del job
 
     def look(job: AnyJob) -> AnyJob:
         if isinstance(job, Reduction):
-            rows.extend(_rows(sharded))
+            rows.extend(shard_rows(sharded))
         return dying(job)
 
-    dying = _once(take_and_die, ShardJob)
+    dying = once(take_and_die, ShardJob)
 
     sandbox.before = look
     submission = _score(sharded, sandbox)
@@ -240,7 +164,7 @@ def test_a_shard_lost_too_often_loses_the_attempt(sharded: Installation, sandbox
     assert attempt.outcome is AttemptOutcome.LOST
     assert attempt.detail is not None
     assert attempt.detail.startswith("images 1 to 1: the scoring process was killed")
-    assert _rows(sharded) == []
+    assert shard_rows(sharded) == []
     evaluate_submission(sharded.services, sandbox, submission.id, worker="holder")
     assert sharded.state(submission.id) is SubmissionState.SCORED
 
@@ -261,11 +185,11 @@ def test_a_killed_holder_is_replaced(sharded: Installation, sandbox: WatchedSand
     submission_id = sharded.submit()
     faults = sharded.folder / "faults"
     faults.mkdir()
-    hooks.arm(faults, "scored", hooks.Strike(stop=True))
-    sharded.start_worker(module="tests.faults.worker_app", extra={hooks.FOLDER_VARIABLE: str(faults)})
-    wait_until(lambda: hooks.taken_by(faults, "scored"), what="a strike")
+    points.arm(faults, "scored", points.Strike(stop=True))
+    sharded.start_worker(module="tests.faults.worker_app", extra={points.FOLDER_VARIABLE: str(faults)})
+    wait_until(lambda: points.taken_by(faults, "scored"), what="a strike")
     sharded.workers[0].kill()
-    assert [row.attempt for row in _rows(sharded) if row.result_sha256] == [1] * SHARDS
+    assert [row.attempt for row in shard_rows(sharded) if row.result_sha256] == [1] * SHARDS
     with sharded.services.transaction() as session:  # as if its lease had run out
         past = database.now(session) - timedelta(seconds=1)
         session.execute(sa.update(Submission).where(Submission.id == submission_id).values(lease_expires_at=past))
@@ -273,65 +197,7 @@ def test_a_killed_holder_is_replaced(sharded: Installation, sandbox: WatchedSand
     submission = sharded.wait_for(submission_id, SubmissionState.SCORED)
     assert [attempt.outcome for attempt in submission.attempts] == [AttemptOutcome.LOST, AttemptOutcome.SCORED]
     assert _results(sharded, submission) == whole
-    assert _rows(sharded) == []
-
-
-def test_a_shard_worker_writes_nothing_once_the_attempt_is_over(
-    sharded: Installation, other_sandbox: WatchedSandbox
-) -> None:
-    """The submission is taken from its holder while another worker has a shard: that worker finds it gone."""
-    held = _divided(sharded)
-
-    def end(job: AnyJob) -> None:
-        del job
-        with sharded.services.transaction() as session:
-            lifecycle.cancel(session, held.submission_id, actor="user:1")
-
-    other_sandbox.before = _once(end, ShardJob)
-    match_shard(sharded.services, other_sandbox, held.submission_id, held.attempt, 0, worker="other")
-    assert sharded.state(held.submission_id) is SubmissionState.CANCELLED
-    assert _rows(sharded) == []
-
-
-def test_a_late_claim_of_a_shard_writes_nothing(sharded: Installation) -> None:
-    """Whoever lost a shard to the next worker can neither renew, finish nor lose it; the next one can."""
-    services, held = sharded.services, _divided(sharded)
-    late = _claim(sharded, held, 0, lease_s=0)
-    wait_until(lambda: _claim(sharded, held, 0), what="a lease that ran out")
-    assert late is not None
-    sha256 = services.blobs.put_bytes(b"shard")
-    writes: tuple[Callable[[Session], None], ...] = (
-        lambda session: shards.heartbeat(session, late),
-        lambda session: shards.finish(session, services.blobs, late, result_sha256=sha256),
-        lambda session: shards.lose(session, late, code="x", detail="y"),
-        lambda session: shards.give_back(session, late),
-    )
-    for write in writes:
-        with pytest.raises(ShardLost), services.transaction() as session:
-            write(session)
-    assert [(row.claims, row.worker, row.result_sha256) for row in _rows(sharded)] == [
-        (2, "other", None),
-        (0, None, None),
-    ]
-
-
-def test_claims_given_back_do_not_count(sharded: Installation) -> None:
-    """A worker that lacks a service may give a shard back any number of times; three lost claims end it."""
-    services, held = sharded.services, _divided(sharded)
-    for _ in range(5):
-        taken = _claim(sharded, held, 0)
-        assert taken is not None
-        with services.transaction() as session:
-            shards.give_back(session, taken)
-    for _ in range(shards.CAP):
-        taken = _claim(sharded, held, 0)
-        assert taken is not None
-        with services.transaction() as session:
-            assert shards.standing(session, held).failure is None
-            shards.lose(session, taken, code="scoring_killed", detail="it was killed")
-    assert _claim(sharded, held, 0) is None
-    with services.snapshot() as session:
-        assert shards.standing(session, held).failure == ("scoring_killed", "images 0 to 0: it was killed")
+    assert shard_rows(sharded) == []
 
 
 def test_a_rejected_upload_has_no_shards(sharded: Installation, sandbox: WatchedSandbox) -> None:
@@ -341,7 +207,7 @@ def test_a_rejected_upload_has_no_shards(sharded: Installation, sandbox: Watched
     submission = sharded.load(submission_id)
     assert submission.state is SubmissionState.REJECTED
     assert submission.report_sha256 is not None
-    assert _rows(sharded) == []
+    assert shard_rows(sharded) == []
 
 
 @pytest.mark.parametrize("services", [{"heartbeat_s": 0.001}], indirect=True)
@@ -380,33 +246,3 @@ def test_blobs_of_shards_are_kept_while_they_are_needed(sharded: Installation, s
     sweep()
     assert swept[-1] == 3  # the arrays of the predictions and two results
     assert check(sharded.services) == []
-
-
-def test_left_over_shards_are_found(sharded: Installation, sandbox: WatchedSandbox) -> None:
-    """The checker reports shards of an attempt that ended, and results that are not in the store."""
-    submission = _score(sharded, sandbox)
-    assert submission.phase.ground_truth is not None
-    with sharded.services.transaction() as session:
-        session.add(
-            Shard(
-                submission_id=submission.id,
-                attempt=1,
-                number=0,
-                first_image=1,
-                end_image=2,
-                predictions_sha256="0" * 64,
-                ground_truth_sha256=submission.phase.ground_truth.sha256,
-                protocol="cityscapes3d",
-            )
-        )
-    found = [v.detail for v in check(sharded.services, recompute=False) if v.rule == "shards_are_of_running_attempts"]
-    assert len(found) == 3  # the blob, the attempt that ended, the first image that is missing
-
-
-@pytest.mark.parametrize("count", [0, 65])
-def test_a_phase_has_1_to_64_shards(installation: Installation, count: int) -> None:
-    """The record says so, and the database refuses whatever else comes."""
-    with pytest.raises(InvalidField, match="shards"):
-        _divide(installation, count)
-    with pytest.raises(sa.exc.IntegrityError), installation.services.transaction() as session:
-        session.execute(sa.update(Phase).values(shards=count))
