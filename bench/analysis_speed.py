@@ -1,8 +1,9 @@
-"""How long the diagnosis and the comparison metrics take beside the evaluation itself, on one core.
+"""How long uncertainty, diagnosis and the comparison metrics take beside the evaluation itself, on one core.
 
     python bench/analysis_speed.py [--images=1525] [--boxes=30,100]
 
 The workload is synthetic and seeded like that of evaluator_speed.py: about 13,000 ground-truth boxes. Best of three.
+The leaderboard is of 100 methods, each with 1000 replicates of mDS.
 """
 
 import argparse
@@ -11,6 +12,8 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -25,14 +28,19 @@ from evaluator.evaluation import evaluate
 from evaluator.ground_truth import GroundTruth, read_ground_truth
 from evaluator.intake import read_predictions
 from evaluator.predictions import Predictions
+from evaluator.protocol import PAPER
+from evaluator.score_replicates import score_replicates
+from evaluator.standings import Standings
 from evaluator.synthetic import (
     QUALITIES,
     synthesize_ground_truth,
     synthesize_predictions,
     write_zip,
 )
+from evaluator.uncertainty import RESAMPLES, compare, intervals, mds_replicates
 
 GROUND_TRUTH_SEED, PREDICTION_SEED, RUNS = 1, 2, 3
+METHODS = 100
 
 
 def best_s(work: Callable[[], object]) -> float:
@@ -62,15 +70,37 @@ def workload(images: int, boxes: int) -> tuple[GroundTruth, Predictions]:
 def measure(ground_truth: GroundTruth, predictions: Predictions) -> dict[str, float]:
     """Time everything on one workload."""
     evaluation = evaluate(ground_truth, predictions)
+    statistics, by_paper = evaluation.statistics, evaluate(ground_truth, predictions, PAPER).statistics
     classes = class_boxes(predictions, ground_truth)
     return {
         "evaluate (match and score)": best_s(lambda: evaluate(ground_truth, predictions)),
+        "1000 resamples, all means and classes": best_s(lambda: mds_replicates(statistics)),
+        "intervals of all metrics, percentile": best_s(lambda: intervals(statistics, method="percentile")),
+        "intervals of all metrics, BCa": best_s(lambda: intervals(statistics)),
+        "  without depth bins": best_s(lambda: intervals(statistics, by_depth=False)),
+        "intervals, protocol paper, BCa": best_s(lambda: intervals(by_paper, by_depth=False)),
+        "paired comparison of two": best_s(lambda: compare(statistics, statistics)),
+        "what a leaderboard keeps": best_s(lambda: score_replicates(statistics).to_bytes()),
+        **leaderboard(),
         "diagnose": best_s(lambda: diagnose(evaluation)),
         "explain_difference": best_s(lambda: explain_difference(evaluation.scores, evaluation.scores)),
         "as KITTI": best_s(lambda: evaluate_kitti(classes)),
         "as nuScenes": best_s(lambda: evaluate_nuscenes(classes)),
         "as Waymo": best_s(lambda: evaluate_waymo(classes)),
         "as Argoverse 2": best_s(lambda: evaluate_argoverse(classes)),
+    }
+
+
+def leaderboard() -> dict[str, float]:
+    """Time the ranks of 100 methods: all at once, and one more."""
+    rng = np.random.default_rng(GROUND_TRUTH_SEED)
+    mds = np.sort(rng.uniform(0.2, 0.7, METHODS))[::-1, None] + rng.normal(0, 0.02, (METHODS, RESAMPLES))
+    standings = Standings.of(mds)
+    order = np.argsort(-mds.mean(axis=1)).tolist()
+    return {
+        f"ranks of {METHODS} methods": best_s(lambda: Standings.of(mds).rank_intervals()),
+        "  one method added to them": best_s(lambda: standings.adding(mds[0])),
+        "  their groups": best_s(lambda: standings.groups(order)),
     }
 
 
@@ -84,7 +114,7 @@ def main() -> None:
         ground_truth, predictions = workload(arguments.images, boxes)
         print(f"{arguments.images} images, {len(ground_truth)} ground-truth boxes, {len(predictions)} predictions")
         for name, seconds in measure(ground_truth, predictions).items():
-            print(f"  {name:28} {seconds:8.3f} s")
+            print(f"  {name:40} {seconds:8.4f} s")
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ from evaluator.projection import projected_corners_px
 from evaluator.protocol import Protocol, Signature
 from evaluator.results import Scores
 from evaluator.statistics import Statistics, collect
+from evaluator.thresholds import share_below_lowest_threshold
 
 MODAL_GAP_LIMIT = 0.01
 """mDS: honest modal boxes change far less, and placing all of them in an ignore region gains five times as much."""
-LOWEST_THRESHOLD = 0.02
 PLAUSIBLE_BOXES_PER_IMAGE = 300
 """The ground truth has 52 in its fullest image; detectors rarely keep more than 300."""
 DUPLICATE_SHARE_LIMIT = 0.2
@@ -172,7 +172,7 @@ def _score_resolution(predictions: Predictions, scores: Scores, respread: Scores
     for official, evenly in zip(scores.classes, respread.classes, strict=True):
         of_class = predictions.label_index == predictions.labels.index(official.label)
         values = predictions.score[of_class]
-        below = float((values < LOWEST_THRESHOLD).mean()) if len(values) else None
+        below = share_below_lowest_threshold(values)
         resolutions.append(
             ScoreResolution(
                 label=official.label,

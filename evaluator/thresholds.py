@@ -11,6 +11,14 @@ MaskArray = NDArray[np.uint64]
 MAX_THRESHOLDS = 63
 """What a mask holds with one bit to spare, so that 2^n - 1 never overflows."""
 
+LOWEST_THRESHOLD = 0.02
+"""The lowest threshold above 0 of both published protocols: lower scores all act like a score of 0."""
+
+
+def share_below_lowest_threshold(score: Float64Array) -> float | None:
+    """Return which share of (N,) scores act like 0, in [0, 1]; None without scores."""
+    return float((score < LOWEST_THRESHOLD).mean()) if len(score) else None
+
 
 def score_thresholds(protocol: Protocol) -> Float64Array:
     """Return the ascending score thresholds, with the rounding of `numpy.arange` (reference: `_conf_thresholds`).

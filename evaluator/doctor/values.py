@@ -7,8 +7,8 @@ from evaluator.codes import Code
 from evaluator.doctor.evidence import FEWEST_BOXES
 from evaluator.findings import Findings
 from evaluator.predictions import Float64Array
+from evaluator.thresholds import share_below_lowest_threshold
 
-LOWEST_THRESHOLD = 0.02
 _PERCENT = 100.0
 
 
@@ -25,8 +25,8 @@ def check_scores(score: Float64Array, findings: Findings) -> None:
     if score.min() == score.max():
         findings.add(Code.SCORES_ALL_EQUAL, found=f"{len(score)} times {score[0]:g}")
         findings.trust(Code.SCORES_ALL_EQUAL, 0.99)
-    below = float((score < LOWEST_THRESHOLD).mean())
-    if below > 0.99:  # noqa: PLR2004 -- detectors give many low scores, but not only such
+    below = share_below_lowest_threshold(score)
+    if below is not None and below > 0.99:  # noqa: PLR2004 -- detectors give many low scores, but not only such
         findings.add(Code.SCORES_BELOW_THRESHOLDS, found=f"{below:.0%} of {len(score)} scores are below 0.02")
         findings.trust(Code.SCORES_BELOW_THRESHOLDS, 0.99)
 
