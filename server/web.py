@@ -21,7 +21,7 @@ from server.api import integrity, leaderboards, openapi, problems, sending, subm
 from server.api.edge import Web, attach
 from server.api.head import AnswersHead
 from server.api.identity import Identities
-from server.api.polling import Polls, RepeatedPolls
+from server.api.polling import AnswersRepeatedPolls, Polls
 from server.api.spool import UploadGate, UploadLimits
 from server.api.sweeping import swept
 from server.api.watch import Watch
@@ -51,7 +51,7 @@ def create_app(services: Services, *, limits: UploadLimits | None = None) -> Fas
         limits: What uploads may take; by default what the settings say.
     """
     web = _web(services, limits or default_limits(services.settings))
-    app = FastAPI(
+    app = AnswersRepeatedPolls(
         title=openapi.TITLE,
         version="1",
         lifespan=_lifespan,
@@ -60,6 +60,7 @@ def create_app(services: Services, *, limits: UploadLimits | None = None) -> Fas
         redoc_url=None,
         redirect_slashes=False,
     )
+    app.polls, app.polled = web.polls, f"{API}/submissions/"
     attach(app, web)
     app.include_router(_api())
     pages.include(app)
@@ -68,7 +69,6 @@ def create_app(services: Services, *, limits: UploadLimits | None = None) -> Fas
         app.add_exception_handler(kind, _on_error)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_unforeseen)
-    app.add_middleware(RepeatedPolls, polls=web.polls, prefix=f"{API}/submissions/")
     app.add_middleware(AnswersHead, own=f"{API}/uploads/")
     app.add_middleware(SecurityHeaders)
     return app

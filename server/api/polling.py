@@ -14,17 +14,19 @@ import time
 import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import sqlalchemy as sa
 import structlog
+from fastapi import FastAPI
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import Headers
 from starlette.responses import Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from server import database
 from server.models import Membership, Phase, Score, Submission, Token, User
+from server.pages.security import headers_of
 from server.services import Services
 
 log = structlog.get_logger(__name__)
@@ -44,7 +46,7 @@ Key = tuple[str, str]
 """SHA-256 of a token, and the submission's id as the server writes it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Answer:
     """One rendered status for one token."""
 
@@ -54,6 +56,24 @@ class Answer:
     unchanged: Response
     """The answer 304 for who holds this version already."""
     made_s: float = field(default_factory=time.monotonic)
+
+    @cached_property
+    def messages(self) -> dict[tuple[str, bool], tuple[Message, Message]]:
+        """What ASGI is sent, complete with the security headers: by scheme, and whether the version is held already."""
+        return {
+            (scheme, held): _messages(self.unchanged if held else self.full, scheme)
+            for scheme in ("http", "https")
+            for held in (False, True)
+        }
+
+
+def _messages(response: Response, scheme: str) -> tuple[Message, Message]:
+    start: Message = {
+        "type": "http.response.start",
+        "status": response.status_code,
+        "headers": [*response.raw_headers, *headers_of(scheme)],
+    }
+    return start, {"type": "http.response.body", "body": response.body}
 
 
 @dataclass(slots=True)
@@ -180,38 +200,47 @@ def _submissions(session: Session, submission_ids: set[uuid.UUID]) -> dict[uuid.
     return {row[0]: tuple(row)[1:] for row in rows}
 
 
-class RepeatedPolls:
-    """Answers those who ask again before anything else is done; plain ASGI."""
+class AnswersRepeatedPolls(FastAPI):
+    """An application that answers those who ask again before anything else is done, its own middleware included."""
 
-    def __init__(self, app: ASGIApp, polls: Polls, prefix: str) -> None:
-        """Look at GET requests for `<prefix><id>`; pass all others to `app`."""
-        self._app = app
-        self._polls = polls
-        self._prefix = prefix
+    polls: Polls
+    polled: str
+    """Statuses are at `<polled><id>`."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the kept answer, or pass the request on."""
-        response = await self._again(scope) if self._concerns(scope) else None
-        await (response or self._app)(scope, receive, send)
+        """Send the kept answer, or handle the request in the ordinary way."""
+        answer = await self._again(scope) if _is_poll(scope, self.polled) else None
+        if answer is None:
+            await super().__call__(scope, receive, send)
+            return
+        for message in answer:
+            await send(message)
 
-    def _concerns(self, scope: Scope) -> bool:
-        return bool(
-            scope["type"] == "http"
-            and scope["method"] == "GET"
-            and scope["path"].startswith(self._prefix)
-            and not scope["query_string"]
-        )
-
-    async def _again(self, scope: Scope) -> Response | None:
-        headers = Headers(scope=scope)
-        kind, _, token = headers.get("authorization", "").partition(" ")
+    async def _again(self, scope: Scope) -> tuple[Message, Message] | None:
+        headers = _first_of_each(scope["headers"])
+        kind, _, token = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
         if kind.lower() != "bearer":
             return None
-        answer = await self._polls.again(key_of(token.strip(), scope["path"][len(self._prefix) :]))
+        answer = await self.polls.again(key_of(token.strip(), scope["path"][len(self.polled) :]))
         if answer is None:
             return None
-        given = headers.get("if-none-match")
-        return answer.unchanged if given is not None and names_version(given, answer.etag) else answer.full
+        known = headers.get(b"if-none-match")
+        held = known is not None and names_version(known.decode("latin-1"), answer.etag)
+        return answer.messages[scope["scheme"], held]
+
+
+def _is_poll(scope: Scope, polled: str) -> bool:
+    return bool(
+        scope["type"] == "http"
+        and scope["method"] == "GET"
+        and scope["path"].startswith(polled)
+        and not scope["query_string"]
+    )
+
+
+def _first_of_each(headers: Iterable[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
+    """Give the value of every header; of one that comes several times the first, as Starlette does."""
+    return dict(reversed(list(headers)))
 
 
 def names_version(if_none_match: str, etag: str) -> bool:

@@ -29,6 +29,11 @@ _PLAIN = [(name.lower().encode(), value.encode()) for name, value in HEADERS.ite
 _SECURE = [*_PLAIN, (b"strict-transport-security", b"max-age=31536000")]
 
 
+def headers_of(scheme: str) -> list[tuple[bytes, bytes]]:
+    """Give the headers of an answer as ASGI writes them; with https, to stay with it."""
+    return _SECURE if scheme == "https" else _PLAIN
+
+
 class SecurityHeaders:
     """Adds the headers to whatever the application answers."""
 
@@ -42,7 +47,7 @@ class SecurityHeaders:
             await self._app(scope, receive, send)
             return
 
-        ours = _SECURE if scope["scheme"] == "https" else _PLAIN
+        ours = headers_of(scope["scheme"])
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
