@@ -61,7 +61,7 @@ class ColumnBuilder:
         """
         self._letters = {label: chr(number) for number, label in enumerate(known_labels)}
         self._records: list[Box] = []
-        self._rows: list[bytes] = []
+        self._rows: list[memoryview] = []
         self._boxes = 0
         self._amodal_only = 0
 

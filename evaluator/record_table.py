@@ -43,15 +43,15 @@ _ROW = np.dtype(
 """A `Box` that has a modal box and one letter for its label."""
 
 
-def encode_rows(records: Sequence[Box]) -> bytes | None:
+def encode_rows(records: Sequence[Box]) -> memoryview | None:
     """Encode records, whose labels are single letters, as rows of a table; None when some lack a field."""
     encoded = _ENCODER.encode(records)
     count = len(records)
     header = 1 if count < _SHORT_ARRAY else 3 if count < _MEDIUM_ARRAY else 5
-    return encoded[header:] if len(encoded) == header + count * _ROW.itemsize else None
+    return memoryview(encoded)[header:] if len(encoded) == header + count * _ROW.itemsize else None
 
 
-def make_table(rows: Sequence[bytes]) -> NDArray[Any]:
+def make_table(rows: Sequence[memoryview]) -> NDArray[Any]:
     """Join encoded rows to a table."""
     return np.frombuffer(b"".join(rows), dtype=_ROW)
 
