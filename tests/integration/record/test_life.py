@@ -11,7 +11,7 @@ from evaluator.results import Scores
 from server import lifecycle, ranking, submissions
 from server.errors import Forbidden, IllegalTransition, LeaseLost, NotScored
 from server.models import AttemptOutcome, Publication, SubmissionState
-from tests.faults import hooks
+from tests.faults import points
 from tests.services.installation import Installation, zip_of
 from tests.services.mail_sink import MailSink
 from tests.services.processes import wait_until
@@ -80,12 +80,12 @@ def test_a_dead_broker_delays_but_loses_nothing(installation: Installation) -> N
     installation.wait_for(submission_id, SubmissionState.SCORED)
 
 
-def _struck_worker(installation: Installation, point: str, strike: hooks.Strike) -> Path:
+def _struck_worker(installation: Installation, point: str, strike: points.Strike) -> Path:
     """Start a worker that is struck at a point of its work; give the folder in which strikes are noted."""
     faults = installation.folder / "faults"
     faults.mkdir()
-    hooks.arm(faults, point, strike)
-    installation.start_worker(module="tests.faults.worker_app", extra={hooks.FOLDER_VARIABLE: str(faults)})
+    points.arm(faults, point, strike)
+    installation.start_worker(module="tests.faults.worker_app", extra={points.FOLDER_VARIABLE: str(faults)})
     return faults
 
 
@@ -96,8 +96,8 @@ def test_a_worker_killed_at_work_is_replaced(installation: Installation, point: 
     Killed before the commit, its attempt is lost and the next one scores. Killed after it, there is nothing to repeat.
     """
     submission_id = installation.submit()
-    faults = _struck_worker(installation, point, hooks.Strike(stop=True))
-    wait_until(lambda: hooks.taken_by(faults, point), what=f"a strike at {point}")
+    faults = _struck_worker(installation, point, points.Strike(stop=True))
+    wait_until(lambda: points.taken_by(faults, point), what=f"a strike at {point}")
     installation.workers[0].kill()
     installation.start_worker()
     submission = installation.wait_for(submission_id, SubmissionState.SCORED)
@@ -109,11 +109,11 @@ def test_a_worker_killed_at_work_is_replaced(installation: Installation, point: 
 def test_a_worker_that_wakes_up_late_writes_nothing(installation: Installation) -> None:
     """A worker frozen beyond its lease finds its submission scored by another, and leaves it alone."""
     submission_id = installation.submit()
-    faults = _struck_worker(installation, "scored", hooks.Strike(stop=True))
-    wait_until(lambda: hooks.taken_by(faults, "scored"), what="a strike")
+    faults = _struck_worker(installation, "scored", points.Strike(stop=True))
+    wait_until(lambda: points.taken_by(faults, "scored"), what="a strike")
     installation.start_worker()
     installation.wait_for(submission_id, SubmissionState.SCORED)
-    (stale,) = hooks.taken_by(faults, "scored")
+    (stale,) = points.taken_by(faults, "scored")
     os.kill(stale, signal.SIGCONT)
     wait_until(lambda: b"lease_lost" in installation.workers[0].log_path.read_bytes(), what="the late write")
     submission = installation.load(submission_id)
