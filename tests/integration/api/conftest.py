@@ -19,21 +19,11 @@ from tests.services.installation import SMALL_CASE, zip_of
 from worker.evaluation import evaluate_submission
 from worker.sandbox import Sandbox
 
-ONE_SHAPE = {"test_corpus", "test_contract"}
-"""Hundreds of archives, and of requests made at random: what they try lies before the database and the blobs."""
-
 
 @pytest.fixture(scope="session")
 def archive() -> bytes:
     """Give predictions for the two images of the small case."""
     return zip_of(SMALL_CASE / "pred")
-
-
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run the modules of `ONE_SHAPE` once."""
-    name = metafunc.module.__name__.rpartition(".")[2]
-    if name in ONE_SHAPE and "shape" in metafunc.fixturenames:
-        metafunc.parametrize("shape", ["embedded"], indirect=True)
 
 
 @pytest.fixture

@@ -20,6 +20,9 @@ from server.api.problems import all_errors, title_of
 from tests.integration.api.test_following import own
 from tests.integration.site import Site, send
 
+ONE_SHAPE = pytest.mark.parametrize("shape", ["embedded"], indirect=True)
+"""Hundreds of requests made at random: what they try lies before the database and the blobs."""
+
 EXAMPLES = 12
 """Requests generated for each operation: a bounded run; `python3 do.py fuzz` is for long ones."""
 
@@ -47,6 +50,7 @@ def operations(site: Site) -> list[Any]:
     return [operation for operation in found if not operation.path.endswith("/events")]
 
 
+@ONE_SHAPE
 @pytest.mark.parametrize("known", [True, False], ids=["member", "nobody"])
 def test_every_answer_is_documented(site: Site, archive: bytes, score: Callable[[str], None], *, known: bool) -> None:
     """Generated requests, good and bad, with a token and without, get only what the OpenAPI document promises."""
@@ -92,6 +96,7 @@ def _given(operation: Any) -> Callable[[Callable[[Any], None]], Callable[[], Non
     return given(strategy)
 
 
+@ONE_SHAPE
 def test_codes_are_stable_and_explained(site: Site) -> None:
     """Every code has one class, a status and a sentence, and its page exists where `type` points."""
     with site.client() as client:
@@ -109,6 +114,7 @@ def test_the_documentation_lists_every_code() -> None:
     assert listed == [(code, str(kind.status), title_of(kind)) for code, kind in all_errors().items()]
 
 
+@ONE_SHAPE
 def test_documented_problems_have_examples(site: Site) -> None:
     """Every operation documents its problems by code, with an example each, and its success with a schema."""
     with site.client() as client:
