@@ -12,7 +12,6 @@ from server import (
     audit,
     backup,
     database,
-    integrity,
     lifecycle,
     ranking,
     rescoring,
@@ -253,7 +252,9 @@ class Suspicious(ItemAttempt):
         super()._scored()
 
 
-def test_findings_on_new_scores_are_the_maintainers_to_judge(rescored: Rescored) -> None:
+def test_findings_on_new_scores_are_the_maintainers_to_judge(
+    rescored: Rescored, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What the audit of a new score finds stands in the diff and takes nothing down; `hold` does, until `release`."""
     first, *others = rescored.start()
     rescored.work(*others)
@@ -268,16 +269,15 @@ def test_findings_on_new_scores_are_the_maintainers_to_judge(rescored: Rescored)
     assert finding.reasons == ["The modal boxes gain too much."]
     rescored.publish()
     assert rescored.board() == NEW_ORDER
-    with rescored.services.transaction() as session:
-        complete = submissions.find(session, rescored.ids["complete"])
-        submissions.hold(session, complete, reason=finding.reasons[0], actor="admin:test")
+    key = str(rescored.ids["complete"])
+    assert run(rescored.installation, monkeypatch, "hold", key, "--reason", finding.reasons[0]) == 0
     assert rescored.board() == [("partial", 1), ("rough", 2)]
     with rescored.services.transaction() as session:
         complete = submissions.find(session, rescored.ids["complete"])
-        with pytest.raises(Held):
+        with pytest.raises(Held, match="gain too much"):
             submissions.publish(session, complete, "user:1")
-        integrity.release(session, complete, "admin:test")
-        submissions.publish(session, complete, "user:1")
+    assert run(rescored.installation, monkeypatch, "release", key) == 0
+    assert run(rescored.installation, monkeypatch, "publish", key) == 0
     assert rescored.board() == NEW_ORDER
     assert check(rescored.services) == []
 
