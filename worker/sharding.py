@@ -76,8 +76,8 @@ class ShardedAttempt(Attempt):
         match event:
             case Prepared(images=images):
                 self.images = images
-            case Exit(status=0) if self.images:  # of the preparation; or of the reduction, which concluded before
-                pass
+            case Exit(status=0) if self.images and not self.arrays_sha256:
+                pass  # the preparation is done, the submission is not
             case _:
                 super()._follow(event)
 

@@ -78,6 +78,14 @@ def test_the_child_has_no_credentials(sandbox: Sandbox, job: Job, monkeypatch: p
     assert not [name for name in environment if name.startswith(("CS3D_", "AWS_"))]
 
 
+def test_the_child_computes_on_one_thread(sandbox: Sandbox, job: Job) -> None:
+    """As many jobs run as there are processors, so no library starts threads of its own."""
+    _kinds(sandbox, job)
+    environment = _process(sandbox).environ()
+    assert [environment.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")] == ["1", "1"]
+    assert _process(sandbox).num_threads() == 1
+
+
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can always make a network namespace")
 def test_the_child_has_no_network(sandbox: Sandbox, job: Job) -> None:
     """The scoring process is in a network namespace of its own, so not even this machine can be reached."""
