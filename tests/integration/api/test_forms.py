@@ -11,6 +11,9 @@ from server.services import Services
 from tests.integration.api.test_sending import left_behind, problem_of, recorded
 from tests.integration.site import Site, running_site
 
+pytestmark = pytest.mark.parametrize("shape", ["embedded"], indirect=True)
+"""What these forms try lies before the database and the blobs."""
+
 FIELDS = (("benchmark", b"cs3d"), ("phase", b"test"), ("method", b"ours"))
 END = b"\r\n--b--\r\n"
 

@@ -15,6 +15,9 @@ from tests.integration.api.test_uploads import PART, begin, part
 from tests.integration.site import Site, running_site, send
 from tests.services.processes import wait_until
 
+pytestmark = pytest.mark.parametrize("shape", ["embedded"], indirect=True)
+"""The places are those of one web process, whatever is behind it."""
+
 LIMITS = UploadLimits(max_bytes=1 << 30, disk_floor_bytes=0, concurrency_of_user=2, patience_s=0)
 FIELDS = {"benchmark": "cs3d", "phase": "test", "method": "ours"}
 
