@@ -210,7 +210,7 @@ def test_a_rejected_upload_has_no_shards(sharded: Installation, sandbox: Watched
     assert shard_rows(sharded) == []
 
 
-@pytest.mark.parametrize("services", [{"heartbeat_s": 0.001}], indirect=True)
+@pytest.mark.parametrize("services", [{"heartbeat_s": 1e-5}], indirect=True)
 def test_progress_is_the_sum_over_shards(sharded: Installation, sandbox: WatchedSandbox) -> None:
     """Images done are those of the shards that are done, whoever did them: 0 of 2, then 1 of 2, then 2 of 2."""
     seen: list[tuple[type[AnyJob], int, int]] = []
