@@ -24,6 +24,9 @@ from server.services import Services
 
 log = structlog.get_logger(__name__)
 
+FAR_OVERDUE = 10
+"""Times `resend_s`."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
@@ -60,18 +63,21 @@ def _send_again(services: Services) -> int:
     """Send a message for every submission that waits without one.
 
     Messages that wait in the broker are left alone as long as there is one for each submission that waits: a long
-    queue is not a lost one, and doubling it at every pass would only make it longer.
+    queue is not a lost one, and doubling it at every pass would only make it longer. But what is counted there may be
+    messages that came twice, so a message that is far overdue is sent again whatever waits.
     """
+    resend_s = services.settings.resend_s
     with services.snapshot() as session:
-        deadline = database.now(session) - timedelta(seconds=services.settings.resend_s)
+        at = database.now(session)
         unsent = _waiting(session, Submission.enqueued_at.is_(None))
-        overdue = _waiting(session, Submission.enqueued_at < deadline)
+        overdue = _waiting(session, Submission.enqueued_at < at - timedelta(seconds=resend_s))
+        lost = _waiting(session, Submission.enqueued_at < at - timedelta(seconds=resend_s * FAR_OVERDUE))
         waiting = _waiting(session, sa.true())
     # The bulk messages of a re-scoring are not theirs.
     depth = services.queue.depth(PRIORITY_URGENT, PRIORITY_NORMAL) if unsent or overdue else None
     if depth is None:
         return 0
-    due = unsent + (overdue if depth < len(waiting) else [])
+    due = unsent + (overdue if depth < len(waiting) else lost)
     return sum(_send(services, submission_id) for submission_id in due)
 
 
