@@ -13,7 +13,7 @@ from pathlib import Path
 
 TETHER = Path(__file__).resolve().parents[2] / "server" / "tether.py"
 
-READY_S = 90.0
+READY_S = 180.0
 
 
 def free_port() -> int:
