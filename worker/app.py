@@ -100,7 +100,7 @@ def sweep_files() -> None:
     """
     try:
         sweeper.sweep_files(_process(os.getpid()).services)
-    except ServerError as error:
+    except (ServerError, OSError) as error:
         log.warning("sweep_failed", error=repr(error))
 
 
