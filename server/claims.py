@@ -70,5 +70,3 @@ class Result:
     scores_sha256: str
     statistics_sha256: str | None
     integrity: IntegrityAudit
-    replicates: bytes | None = None
-    """`evaluator.score_replicates.ScoreReplicates.to_bytes`; None: too few images to resample."""

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 from server import audit, database, integrity, quota, ranking, shards
 from server.claims import Claim, Result
 from server.errors import IllegalTransition, LeaseLost
-from server.models import Attempt, AttemptOutcome, Phase, Score, ScoreReplicates, Submission, SubmissionState
+from server.models import Attempt, AttemptOutcome, Phase, Score, Submission, SubmissionState
 
 RECEIVED, QUEUED, SCORING = SubmissionState.RECEIVED, SubmissionState.QUEUED, SubmissionState.SCORING
 SCORED, REJECTED = SubmissionState.SCORED, SubmissionState.REJECTED
@@ -171,7 +171,6 @@ def new_score(session: Session, held: Claim, result: Result) -> Score:
         summary=ranking.summary_of(result.scores),
         scores_sha256=result.scores_sha256,
         statistics_sha256=result.statistics_sha256,
-        replicates=None if result.replicates is None else ScoreReplicates(data=result.replicates),
         created_at=database.now(session),
     )
 

@@ -23,16 +23,19 @@ SHARD_TASK = "cs3d.shard"
 SWEEP_TASK = "cs3d.sweep"
 FILE_SWEEP_TASK = "cs3d.sweep_files"
 RESCORE_TASK = "cs3d.rescore"
+RESAMPLE_TASK = "cs3d.resample"
 QUEUE_NAME = "cs3d"
 
 PRIORITY_URGENT = 0
 """Housekeeping that must not wait behind submissions."""
 PRIORITY_NORMAL = 3
 """A submission that its team waits for."""
+PRIORITY_LATER = 6
+"""What follows a score, for the leaderboard: no team waits for it."""
 PRIORITY_BULK = 9
 """Scoring many again: waits behind everything else."""
 
-PRIORITY_STEPS = (PRIORITY_URGENT, PRIORITY_NORMAL, PRIORITY_BULK)
+PRIORITY_STEPS = (PRIORITY_URGENT, PRIORITY_NORMAL, PRIORITY_LATER, PRIORITY_BULK)
 PRIORITY_SEPARATOR = ":"
 
 HARD_LIMIT_MARGIN_S = 120
@@ -118,6 +121,14 @@ class Queue:
             False when the broker did not take the message; the sweeper then sends it again.
         """
         return self._send(RESCORE_TASK, item_id, PRIORITY_BULK)
+
+    def enqueue_resampling(self, score_id: int) -> bool:
+        """Tell the workers that a score waits for resampling.
+
+        Returns:
+            False when the broker did not take the message; the sweeper then sends it again.
+        """
+        return self._send(RESAMPLE_TASK, score_id, PRIORITY_LATER)
 
     def enqueue_shards(self, submission_id: uuid.UUID, attempt: int, count: int) -> bool:
         """Tell the workers that the images of a submission wait in `count` shards, as one group of messages.

@@ -1,7 +1,7 @@
 """How far a leaderboard can be trusted: intervals of mDS, rank intervals, and groups that cannot be told apart.
 
 All of it follows from the replicates the worker kept with each score. They never change, so what follows from a given
-set of scores is kept in memory and the page of a leaderboard reads no replicates again.
+set of resampled scores is kept in memory and the page of a leaderboard reads no replicates again.
 """
 
 import uuid
@@ -20,15 +20,16 @@ from evaluator.standings import Standings
 from evaluator.uncertainty import Comparison, compare_replicates
 from server import models
 from server.ranking import LeaderboardRow
+from server.resampling import NONE_POSSIBLE
 
-_Key = tuple[tuple[uuid.UUID, int], ...]
+_Key = tuple[tuple[uuid.UUID, int, bool], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
     """What is known of one row beside its score.
 
-    Nothing of a score made before replicates were kept, or of too few boxes (evaluator/interval_rules.py).
+    Nothing of a score that waits for resampling, or of too few boxes (evaluator/interval_rules.py).
     """
 
     interval: Interval | None = None
@@ -53,7 +54,8 @@ class StandingsCache:
 
     def of(self, session: Session, rows: Sequence[LeaderboardRow]) -> dict[uuid.UUID, Standing]:
         """Give the standing of each submission of a leaderboard; rows come best first, as they do there."""
-        key = tuple((row.submission.id, row.score.id) for row in rows)
+        kept = _resampled(session, rows)
+        key = tuple((row.submission.id, row.score.id, row.score.id in kept) for row in rows)
         found = self._known.get(key)
         if found is None:
             found = standings_from(rows, replicates_of(session, rows))
@@ -63,6 +65,12 @@ class StandingsCache:
         return found
 
 
+def _resampled(session: Session, rows: Sequence[LeaderboardRow]) -> frozenset[int]:
+    """Find which scores have been resampled."""
+    column = models.ScoreReplicates.score_id
+    return frozenset(session.scalars(sa.select(column).where(column.in_([row.score.id for row in rows]))))
+
+
 def replicates_of(session: Session, rows: Sequence[LeaderboardRow]) -> dict[uuid.UUID, ScoreReplicates]:
     """Read the replicates of rows, by submission.
 
@@ -70,7 +78,7 @@ def replicates_of(session: Session, rows: Sequence[LeaderboardRow]) -> dict[uuid
     """
     submission_of = {row.score.id: row.submission.id for row in rows}
     table = models.ScoreReplicates
-    query = sa.select(table.score_id, table.data).where(table.score_id.in_(submission_of))
+    query = sa.select(table.score_id, table.data).where(table.score_id.in_(submission_of), table.data != NONE_POSSIBLE)
     found = {submission_of[score_id]: ScoreReplicates.from_bytes(data) for score_id, data in session.execute(query)}
     return {submission: kept for submission, kept in found.items() if _trusted(kept)}
 

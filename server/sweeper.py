@@ -4,6 +4,7 @@ It covers every state that is not terminal, so no submission waits for a message
 
     held, lease ran out            -> waits again, or `failed` at the phase's cap of attempts
     waits, never or long ago sent  -> a new message
+    scored, never resampled        -> a new message (server/resampling.py)
     scoring without a lease        -> cannot exist (a constraint of the table)
 
 Any number of sweepers may run at once: each change is a compare-and-set of its own.
@@ -17,7 +18,7 @@ import sqlalchemy as sa
 import structlog
 from sqlalchemy.orm import Session
 
-from server import blobs, database, lifecycle, mail, rescoring_sweeper
+from server import blobs, database, lifecycle, mail, resampling, rescoring_sweeper
 from server.models import Submission, SubmissionState
 from server.queue import PRIORITY_NORMAL, PRIORITY_URGENT
 from server.services import Services
@@ -47,7 +48,7 @@ def sweep(services: Services) -> Sweep:
     for submission_id in failed:
         mail.tell_of_failure(services, submission_id)
     taken_back = sum(state is not None for state in states) - len(failed)
-    sent = _send_again(services) + rescoring_sweeper.sweep(services)
+    sent = _send_again(services) + resampling.sweep(services) + rescoring_sweeper.sweep(services)
     done = Sweep(taken_back=taken_back, failed=len(failed), sent=sent)
     if held or done.sent:
         log.info("swept", taken_back=done.taken_back, failed=done.failed, sent=done.sent)

@@ -1,7 +1,7 @@
 """The Celery application: `celery -A worker.app worker` on any machine with the same settings.
 
 Tasks: `cs3d.evaluate` (a submission's id), `cs3d.shard` (a range of the images of one that another process holds),
-`cs3d.rescore` (an item of a re-scoring) and `cs3d.sweep`. Every worker also sweeps by itself, so recovery needs no
+`cs3d.resample` (a score), `cs3d.rescore` (an item of a re-scoring) and `cs3d.sweep`. Every worker also sweeps by itself, so recovery needs no
 scheduler; a scheduler (`celery -A worker.app beat`) is for installations whose workers come and go.
 SIGTERM drains: running submissions are finished, no new ones are taken.
 """
@@ -21,6 +21,7 @@ from server.queue import (
     EVALUATE_TASK,
     FILE_SWEEP_TASK,
     PRIORITY_NORMAL,
+    RESAMPLE_TASK,
     RESCORE_TASK,
     SHARD_TASK,
     SWEEP_TASK,
@@ -30,6 +31,7 @@ from server.services import Services
 from server.settings import Settings
 from worker import acknowledging
 from worker.evaluation import evaluate_submission, match_shard
+from worker.resampling import resample_score
 from worker.rescoring import evaluate_item
 from worker.sandbox import Sandbox
 from worker.sweeping import Sweeping
@@ -74,6 +76,13 @@ def rescore(item_id: int) -> None:
     """Score a submission again, if that is what an item of a re-scoring waits for."""
     this = _process(os.getpid())
     evaluate_item(this.services, this.sandbox, item_id, worker=this.name)
+
+
+@app.task(name=RESAMPLE_TASK)
+def resample(score_id: int) -> None:
+    """Resample the images of a score, if it waits for that."""
+    this = _process(os.getpid())
+    resample_score(this.services, this.sandbox, score_id, worker=this.name)
 
 
 @app.task(name=SHARD_TASK)

@@ -23,7 +23,7 @@ from server import lifecycle, mail
 from server.blobs import no_room_is_said, record_blob
 from server.claims import Claim, Result
 from server.errors import LeaseLost, StorageFull, Unavailable
-from server.models import SubmissionState
+from server.models import Score, SubmissionState
 from server.services import Services
 from worker.child import EXIT_MEMORY, EXIT_NO_ROOM
 from worker.messages import AnyJob, Broken, Event, Exit, Job, Progress, Rejected, Scored, Validated
@@ -43,8 +43,8 @@ class Record(Protocol):
     def heartbeat(self, session: Session, held: Claim, *, stage: str, images_done: int, images_total: int) -> None:
         """Renew the lease and write the progress."""
 
-    def record_score(self, session: Session, held: Claim, result: Result) -> object:
-        """Write the score and the end of the attempt."""
+    def record_score(self, session: Session, held: Claim, result: Result) -> Score | None:
+        """Write the score and the end of the attempt; None: it is to be scored anew."""
 
     def fail(self, session: Session, held: Claim, *, code: str, detail: str) -> None:
         """Write that trying again would not help."""
@@ -157,15 +157,19 @@ class Attempt:
             scores_sha256=kept["scores.json"][0],
             statistics_sha256=kept["statistics"][0],
             integrity=msgspec.json.decode((self.folder / "integrity.json").read_bytes(), type=IntegrityAudit),
-            replicates=(self.folder / "replicates").read_bytes() or None,
         )
+
+        written: list[int] = []
 
         def write(session: Session) -> None:
             for sha256, size_bytes in kept.values():
                 record_blob(session, self.services.blobs, sha256, size_bytes)
-            self.record.record_score(session, self.held, result)
+            score = self.record.record_score(session, self.held, result)
+            written[:] = [] if score is None else [score.id]
 
         self._conclude(write)
+        for score_id in written:
+            self.services.queue.enqueue_resampling(score_id)
         self._tell_of_hold()
 
     def _keep(self, name: str) -> tuple[str, int]:

@@ -46,7 +46,8 @@ def main() -> None:
 
 def _load_evaluator() -> None:
     """Import once what every job needs."""
-    import numpy.ma  # noqa: PLC0415, F401 - else NumPy loads it within every job, for `unique` of rows
+    import numpy.ma  # noqa: PLC0415 - else NumPy loads it within every job, for `unique` of rows
+    import numpy.random  # noqa: PLC0415, F401 - likewise, for resampling
 
     import worker.jobs  # noqa: PLC0415, F401 - after the network is gone, which needs a process without threads
 

@@ -31,6 +31,8 @@ from worker.messages import (
     Progress,
     Reduction,
     Rejected,
+    Resampled,
+    Resampling,
     Scored,
     ShardJob,
     Validated,
@@ -57,6 +59,8 @@ def carry_out(job: AnyJob, send: Send) -> None:
             _match_shard(job, send)
         case Reduction():
             _reduce(job, send)
+        case Resampling():
+            _resample(job, send)
 
 
 def _score(job: Job, send: Send) -> None:
@@ -116,15 +120,15 @@ def _write_results(folder: Path, scores: Scores, statistics: Statistics, integri
     (folder / "scores.json").write_bytes(msgspec.json.encode(scores))
     (folder / "statistics").write_bytes(statistics.to_bytes())
     (folder / "integrity.json").write_bytes(msgspec.json.encode(integrity))
-    (folder / "replicates").write_bytes(_replicates(statistics))
 
 
-def _replicates(statistics: Statistics) -> bytes:
-    """Resample the images for the leaderboard; nothing when there are too few of them."""
+def _resample(job: Resampling, send: Send) -> None:
     try:
-        return score_replicates(statistics).to_bytes()
-    except UsageError:
-        return b""
+        replicates = score_replicates(Statistics.from_bytes(Path(job.statistics).read_bytes())).to_bytes()
+    except UsageError:  # there are too few images
+        replicates = b""
+    (Path(job.folder) / "replicates").write_bytes(replicates)
+    send(Resampled())
 
 
 def _reporter(stage: Literal["validating", "scoring"], send: Send) -> Callable[[int, int], None]:

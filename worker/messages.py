@@ -63,7 +63,14 @@ class Reduction(_Limits, frozen=True, kw_only=True, tag="reduction"):
     protocol: str
 
 
-AnyJob = Job | Preparation | ShardJob | Reduction
+class Resampling(_Limits, frozen=True, kw_only=True, tag="resampling"):
+    """Resample the images of a score; gives `replicates`, empty when there are too few images."""
+
+    statistics: str
+    """Path of the statistics that `Job` or `Reduction` gave."""
+
+
+AnyJob = Job | Preparation | ShardJob | Reduction | Resampling
 
 
 class Ready(msgspec.Struct, frozen=True, tag="ready"):
@@ -102,6 +109,10 @@ class Scored(msgspec.Struct, frozen=True, tag="scored"):
     """Scores, statistics and integrity audit are written."""
 
 
+class Resampled(msgspec.Struct, frozen=True, tag="resampled"):
+    """The replicates are written."""
+
+
 class Broken(msgspec.Struct, frozen=True, tag="broken"):
     """The evaluator itself failed; trying again would not help."""
 
@@ -114,4 +125,4 @@ class Exit(msgspec.Struct, frozen=True, tag="exit"):
     status: int
 
 
-Event = Ready | Progress | Validated | Rejected | Prepared | Matched | Scored | Broken | Exit
+Event = Ready | Progress | Validated | Rejected | Prepared | Matched | Scored | Resampled | Broken | Exit

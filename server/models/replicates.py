@@ -8,12 +8,15 @@ from server.models.submissions import Score
 
 
 class ScoreReplicates(Base):
-    """The replicates of one score. A score without them was made before they were kept, or of too few images."""
+    """The replicates of one score. A score without this row waits for resampling (server/resampling.py)."""
 
     __tablename__ = "score_replicates"
 
     score_id: Mapped[int] = mapped_column(sa.ForeignKey(Score.id), primary_key=True)
     data: Mapped[bytes] = mapped_column(sa.LargeBinary)
-    """`evaluator.score_replicates.ScoreReplicates.to_bytes`, about 60 kB. Nothing of a single image is in it."""
+    """`evaluator.score_replicates.ScoreReplicates.to_bytes`, about 60 kB; empty: of too few images.
+
+    Nothing of a single image is in it.
+    """
 
     score: Mapped[Score] = relationship(back_populates="replicates")

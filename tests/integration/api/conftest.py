@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 
+from server.models import Score
 from server.services import Services
 from server.settings import Settings
 from tests.integration.site import Site, populate, running_site
 from tests.services.fixtures import Shape
 from tests.services.installation import SMALL_CASE, zip_of
 from worker.evaluation import evaluate_submission
+from worker.resampling import resample_score
 from worker.sandbox import Sandbox
 
 
@@ -62,9 +65,13 @@ def sandbox() -> Iterator[Sandbox]:
 
 @pytest.fixture
 def score(site: Site, sandbox: Sandbox) -> Callable[[str], None]:
-    """Give a function that does a worker's work on one submission."""
+    """Give a function that does a worker's work on one submission and on what follows its score."""
 
     def work(submission_id: str) -> None:
         evaluate_submission(site.services, sandbox, uuid.UUID(submission_id), worker="test")
+        with site.services.snapshot() as session:
+            score_id = session.scalar(sa.select(Score.id).where(Score.submission_id == uuid.UUID(submission_id)))
+        if score_id is not None:
+            resample_score(site.services, sandbox, score_id, worker="test")
 
     return work
