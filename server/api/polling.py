@@ -31,7 +31,7 @@ from server.services import Services
 
 log = structlog.get_logger(__name__)
 
-COLLECT_S = 0.002
+COLLECT_S = 0.005
 """Between two queries: under load more of those who ask share one; who asks alone is not kept waiting."""
 MAX_ANSWERS = 2048
 MAX_ANSWER_BYTES = 16 << 10
