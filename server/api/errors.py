@@ -6,6 +6,7 @@ ServerError                        (server/errors.py)
 ├── CsrfFailed                     403  csrf_failed
 ├── MethodNotAllowed               405  method_not_allowed
 ├── UploadTimeout                  408  upload_timeout
+├── LengthRequired                 411  length_required
 ├── OffsetConflict                 409  offset_mismatch
 ├── UploadTooLarge                 413  too_large           (TooLarge)
 ├── UnsupportedMediaType           415  unsupported_media_type
@@ -83,6 +84,17 @@ class UploadTimeout(ServerError):
     def __init__(self) -> None:
         """Point to the upload that survives bad connections."""
         super().__init__("The upload stalled; send it again, or use the resumable upload at /api/v1/uploads.")
+
+
+class LengthRequired(ServerError):
+    """The request announces no body, neither by Content-Length nor by Transfer-Encoding."""
+
+    code = "length_required"
+    status = 411
+
+    def __init__(self) -> None:
+        """Say how a body is announced."""
+        super().__init__("The request has no body; send the archive with Content-Length or Transfer-Encoding: chunked.")
 
 
 class OffsetConflict(Conflict):

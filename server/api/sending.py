@@ -108,6 +108,7 @@ SENDING_PROBLEMS = (
     errors.DiskFull,
     MalformedRequest,
     errors.UploadTimeout,
+    errors.LengthRequired,
 )
 """What may stop an upload on its way to a submission."""
 
@@ -158,6 +159,7 @@ async def send_submission(
         "team": team,
         "idempotency_key": idempotency_key(request),
     }
+    require_body(request)
     refuse_content_coding(request)
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind in ARCHIVE_TYPES:
@@ -178,6 +180,16 @@ def idempotency_key(request: Request) -> str | None:
     if len(keys) > 1:
         raise MalformedRequest("Send one Idempotency-Key, not several.")
     return keys[0] if keys else None
+
+
+def require_body(request: Request) -> None:
+    """Refuse a request that has no body, so that it is not taken for an empty archive (RFC 9112, section 6.3).
+
+    Raises:
+        LengthRequired: It announces none.
+    """
+    if not {"content-length", "transfer-encoding"} & set(request.headers):
+        raise errors.LengthRequired
 
 
 def refuse_content_coding(request: Request) -> None:

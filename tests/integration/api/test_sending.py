@@ -168,6 +168,19 @@ def test_the_disk_floor_holds(quiet_services: Services, archive: bytes) -> None:
     assert (response.status_code, problem_of(response)["code"]) == (507, "storage_full")
 
 
+def test_a_request_without_a_body_is_told_so(site: Site) -> None:
+    """Neither Content-Length nor Transfer-Encoding means no body, which is 411; an announced empty one is no zip, 422."""
+    with site.client(site.token()) as client:
+        request = client.build_request(
+            "POST", "/api/v1/submissions", params=PARAMS, headers={"Content-Type": "application/zip"}
+        )
+        assert send(client, b"").status_code == 422
+        del request.headers["content-length"]
+        response = client.send(request)
+    assert (response.status_code, problem_of(response)["code"]) == (411, "length_required")
+    assert recorded(site.services) == (0, 0)
+
+
 def begin_slowly(site: Site, token: str, length: int) -> socket.socket:
     """Open a connection that announces a body and sends only its beginning."""
     address = urlsplit(site.url)
