@@ -59,3 +59,8 @@ def _finish_operation(operation: dict[str, Any]) -> None:
         responses["422"] = {"description": description, "content": content}
     operation["security"] = [{"token": []}, {}]
     responses.setdefault("500", unforeseen)
+    away = {
+        "description": "A service behind the server does not answer; asking again later helps.",
+        "content": _PROBLEM,
+    }
+    responses.setdefault("503", away)
