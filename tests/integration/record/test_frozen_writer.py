@@ -39,6 +39,7 @@ def _frozen_writer(settings: Settings) -> Iterator[None]:
             process.send_signal(signal.SIGKILL)
 
 
+@pytest.mark.parametrize("shape", ["embedded"], indirect=True)
 def test_writers_get_503_and_readers_go_on(quiet_services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
     """While the lock is held, uploads are answered 503 after the busy timeout and leaderboards are read; then all is well."""
     monkeypatch.setattr(database, "BUSY_TIMEOUT_S", 1)
