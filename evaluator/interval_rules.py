@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.predictions import Float64Array
+from evaluator.protocol import PAPER, Protocol
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates
 from evaluator.statistics import Statistics
 
@@ -41,10 +42,20 @@ def sufficient(statistics: Statistics, estimate: Replicates, units: int) -> tupl
     found = estimate.true_positives[0]
     of_class = boxes.sum(axis=1)
     classes = _by_metric(METRICS, of_class >= FEWEST_BOXES, _harmonic_mean(found), found.sum(axis=1))
+    classes &= can_be_resampled(statistics.protocol)
     bins = _by_metric(BIN_METRICS, boxes[:, :-1] >= FEWEST_BOXES_IN_BIN, found, found)
     means = classes[of_class > 0].all(axis=0)
     trusted = units >= FEWEST_UNITS
     return means & trusted, classes & trusted, bins[:, : estimate.depth_bins.shape[2]] & trusted
+
+
+def can_be_resampled(protocol: Protocol) -> BoolArray:
+    """Tell for which metrics of a class, in the order of `METRICS`, resamples scatter about the score.
+
+    The protocol `paper` integrates similarities up to the farthest true positive. A resample without it loses whole bins, so
+    almost all of them lie below the score, and detection scores and mDS with them.
+    """
+    return np.array([protocol.name != PAPER.name or metric == "ap" for metric in METRICS])
 
 
 def _by_metric(

@@ -12,6 +12,8 @@ import numpy as np
 
 from evaluator import array_file
 from evaluator.confidence import LEVEL, Interval
+from evaluator.errors import UsageError
+from evaluator.interval_rules import can_be_resampled
 from evaluator.predictions import Float64Array
 from evaluator.replicates import MEANS, METRICS
 from evaluator.resampling import Unit
@@ -80,11 +82,14 @@ def score_replicates(statistics: Statistics, draw: Draw = STANDARD_DRAW) -> Scor
         Replicates and intervals.
 
     Raises:
-        UsageError: There are not enough images to resample.
+        UsageError: There are not enough images to resample, or the protocol's detection scores cannot be.
     """
+    column = METRICS.index(DETECTION_SCORE)
+    if not can_be_resampled(statistics.protocol)[column]:
+        message = f"Detection scores of the protocol {statistics.protocol.name} cannot be resampled."
+        raise UsageError(f"{message} Evaluate with cityscapes3d for intervals.")
     found = bootstrap(statistics, resamples=draw.resamples, seed=draw.seed, unit=draw.unit)
     means, of_classes, _ = named_intervals(statistics, found, draw.level)
-    column = METRICS.index(DETECTION_SCORE)
     classes = found.drawn.classes[:, :, column]
     by_label = {label: of_classes[label][DETECTION_SCORE] for label in statistics.labels}
     return ScoreReplicates(

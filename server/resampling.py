@@ -16,7 +16,7 @@ from server.queue import PRIORITY_LATER
 from server.services import Services
 
 NONE_POSSIBLE = b""
-"""The replicates of a score that has none: too few images, or the evaluator could not resample them."""
+"""The replicates of a score that has none: too few images, or a protocol or a score that cannot be resampled."""
 
 _MOST_AT_ONCE = 100
 

@@ -222,7 +222,7 @@ def describe(session: Session, basis: Basis) -> dict[str, Any]:
     }
 
 
-def record(session: Session, rescoring: Rescoring, what: str, actor: str, **detail: Any) -> None:  # noqa: ANN401
+def record(session: Session, rescoring: Rescoring, what: str, actor: str, **detail: Any) -> None:  # noqa: ANN401 - JSON
     """Write an audit event of the phase."""
     audit.record(
         session,

@@ -125,7 +125,7 @@ def _write_results(folder: Path, scores: Scores, statistics: Statistics, integri
 def _resample(job: Resampling, send: Send) -> None:
     try:
         replicates = score_replicates(Statistics.from_bytes(Path(job.statistics).read_bytes())).to_bytes()
-    except UsageError:  # there are too few images
+    except UsageError:  # there are too few images, or the protocol cannot be resampled
         replicates = b""
     (Path(job.folder) / "replicates").write_bytes(replicates)
     send(Resampled())

@@ -13,6 +13,7 @@ from evaluator.interval_rules import (
     FEWEST_UNITS,
     sufficient,
 )
+from evaluator.protocol import PAPER
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates, replicate
 from evaluator.statistics import Statistics
 from tests.array_factories import Box, annotated, make_ground_truth, make_predictions
@@ -76,6 +77,15 @@ def test_few_images_or_clusters_give_nothing() -> None:
     """Ninety-nine are too few, however many boxes they hold."""
     assert _given([1000] * 20, units=FEWEST_UNITS - 1) == (set(), set())
     assert _given([1000] * 20)[1] == set(METRICS)
+
+
+def test_integrals_to_the_farthest_box_give_nothing_but_average_precision() -> None:
+    """Under the protocol `paper` a resample without the farthest true positive loses bins: only AP scatters about the score."""
+    statistics, estimate = _found([1000] * 20)
+    means, classes, bins = sufficient(replace(statistics, protocol=PAPER), estimate, FEWEST_UNITS)
+
+    assert {METRICS[i] for i in np.flatnonzero(means)} == {METRICS[i] for i in np.flatnonzero(classes[CAR])} == {"ap"}
+    assert bins[CAR].all()
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What a leaderboard keeps of a score."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate
 from evaluator.ground_truth import read_ground_truth
 from evaluator.parallel import ground_truth_of
-from evaluator.protocol import CITYSCAPES3D
+from evaluator.protocol import CITYSCAPES3D, PAPER
 from evaluator.score_replicates import MDS, Draw, ScoreReplicates, score_replicates
 from evaluator.uncertainty import intervals, mds_replicates
 from tests.prediction_arrays import load_predictions
@@ -62,6 +63,14 @@ def test_one_image_has_no_replicates() -> None:
     """There is nothing to resample."""
     with pytest.raises(UsageError, match="at least 2"):
         score_replicates(_evaluate(1).statistics, DRAW)
+
+
+def test_the_protocol_paper_has_no_replicates() -> None:
+    """Its detection scores do not scatter about the score, so a leaderboard by it says nothing of ranks."""
+    statistics = replace(_evaluate(60).statistics, protocol=PAPER)
+
+    with pytest.raises(UsageError, match="cannot be resampled"):
+        score_replicates(statistics, DRAW)
 
 
 def test_other_bytes_are_refused() -> None:
