@@ -142,9 +142,9 @@ def web_command(host: str, port: int, *options: str) -> list[str]:
     return [*command, "--host", host, "--port", str(port), "--timeout-graceful-shutdown", "3", *options]
 
 
-def worker_command(*options: str) -> list[str]:
+def worker_command(*options: str, application: str = "worker.app") -> list[str]:
     """Compose the command of one worker."""
-    return [sys.executable, "-m", "celery", "--app", "worker.app", "worker", "--loglevel", "INFO", *options]
+    return [sys.executable, "-m", "celery", "--app", application, "worker", "--loglevel", "INFO", *options]
 
 
 def _web(environment: dict[str, str], host: str, port: int) -> Child:
@@ -155,7 +155,7 @@ def _web(environment: dict[str, str], host: str, port: int) -> Child:
 
 def _worker(environment: dict[str, str]) -> Child:
     """Plan the worker; it may end what it is scoring before it stops. It also sweeps, so nothing has to be scheduled."""
-    command = worker_command("--hostname", "embedded@%h", "--without-mingle", "--without-gossip")
+    command = worker_command("--hostname", "embedded@%h")
     return Child(name="worker", command=command, environment=environment, is_ready=lambda: True, stop_within_s=30)
 
 

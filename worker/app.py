@@ -1,4 +1,4 @@
-"""The Celery application: `celery -A worker.app worker` on any machine with the same settings.
+"""The Celery application: `celery -A worker.app worker`, or `cs3d-admin worker`, on any machine with the same settings.
 
 Tasks: `cs3d.evaluate` (a submission's id), `cs3d.shard` (a range of the images of one that another process holds),
 `cs3d.resample` (a score), `cs3d.rescore` (an item of a re-scoring) and `cs3d.sweep`. Every worker also sweeps by itself, so recovery needs no
@@ -29,7 +29,7 @@ from server.queue import (
 )
 from server.services import Services
 from server.settings import Settings
-from worker import acknowledging
+from worker import listening
 from worker.evaluation import evaluate_submission, match_shard
 from worker.resampling import resample_score
 from worker.rescoring import evaluate_item
@@ -41,9 +41,9 @@ log = structlog.get_logger(__name__)
 POOL_PROCESS_MEMORY_KIB = 512 * 1024
 """A pool process holds no submission's data, so one that grows beyond this is replaced."""
 
-acknowledging.install()
 settings = Settings()
 app = celery_app(settings)
+listening.install(app)
 app.conf.worker_concurrency = settings.worker_concurrency or None
 app.conf.worker_max_memory_per_child = POOL_PROCESS_MEMORY_KIB
 app.conf.beat_scheduler = "celery.beat:Scheduler"  # keeps no file that a crash could leave half written

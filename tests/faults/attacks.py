@@ -86,12 +86,12 @@ def fill_disk(deployment: Deployment, clients: Clients) -> None:
 def freeze_worker(deployment: Deployment, clients: Clients) -> None:
     """A worker stands still with its scores computed, for three lease times and until others did its work; it goes on."""
     del clients
-    before = set(points.taken_by(deployment.faults, "scored"))
     _strike_and_wait(deployment, "scored", Strike(stop=True))
+    frozen = points.last_taken_by(deployment.faults, "scored")
     waiting = set(deployment.unfinished())
     time.sleep(3 * LEASE_S)
     _wait_for(lambda: not waiting & set(deployment.unfinished()), "the end of the frozen worker's work")
-    wake([process for process in points.taken_by(deployment.faults, "scored") if process not in before])
+    wake(frozen)
 
 
 def send_poison(deployment: Deployment, clients: Clients) -> None:

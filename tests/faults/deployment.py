@@ -244,8 +244,7 @@ def _start_patiently(service: Service) -> None:
     service.start()
 
 
-def wake(processes: list[int]) -> None:
-    """Continue frozen processes."""
-    for process in processes:
-        if psutil.pid_exists(process):
-            os.kill(process, signal.SIGCONT)
+def wake(process: int) -> None:
+    """Continue a frozen process, if it is still there."""
+    if psutil.pid_exists(process):
+        os.kill(process, signal.SIGCONT)

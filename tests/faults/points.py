@@ -61,8 +61,19 @@ def disarm(folder: Path, point: str) -> None:
 
 
 def taken_by(folder: Path, point: str) -> list[int]:
-    """List the processes that were struck at `point`."""
-    return [int(path.name.split(".")[2]) for path in sorted(folder.glob(f"{point}.taken.*"))]
+    """List the processes that were struck at `point`, in the order of the strikes."""
+    return [process for _, process in _taken(folder, point)]
+
+
+def last_taken_by(folder: Path, point: str) -> int:
+    """Give the process that was struck last at `point`; the same one may have been struck there before."""
+    return _taken(folder, point)[-1][1]
+
+
+def _taken(folder: Path, point: str) -> list[tuple[int, int]]:
+    """List when and which processes were struck, in this order."""
+    names = [path.name.split(".") for path in folder.glob(f"{point}.taken.*")]
+    return sorted((int(when_ns), int(process)) for _, _, process, when_ns in names)
 
 
 def note_early_message(submission_id: object) -> None:

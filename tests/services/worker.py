@@ -1,11 +1,11 @@
 """Real Celery processes of ours."""
 
 import os
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from server.embedded import worker_command
 from server.settings import Settings
 from tests.services.processes import Service
 
@@ -38,10 +38,9 @@ class WorkerProcess(Service):
         self.extra = extra or {}
 
     def command(self) -> Sequence[str]:
-        """Run the command that operators run."""
-        options = ["--concurrency", str(self.concurrency), "--loglevel", "INFO"]
-        quiet = ["--without-gossip", "--without-mingle", "--hostname", f"test-{os.urandom(4).hex()}@%h"]
-        return [sys.executable, "-m", "celery", "--app", self.module, "worker", *options, *quiet]
+        """Run the command that `cs3d-admin worker` runs."""
+        options = ["--concurrency", str(self.concurrency), "--hostname", f"test-{os.urandom(4).hex()}@%h"]
+        return worker_command(*options, application=self.module)
 
     def environment(self) -> Mapping[str, str]:
         """Give the installation's settings."""

@@ -1,4 +1,4 @@
-"""A worker that could not acknowledge a message takes the next one."""
+"""A worker takes the next message whatever became of the broker meanwhile."""
 
 import signal
 import uuid
@@ -11,7 +11,8 @@ from kombu.transport.virtual import Channel
 from server.queue import QUEUE_NAME, Queue, celery_app
 from server.settings import Settings
 from tests.services.broker import Broker
-from worker import acknowledging
+from tests.services.installation import Installation
+from worker import listening
 
 
 @pytest.fixture
@@ -24,8 +25,9 @@ def settings(broker: Broker) -> Settings:
 def channel(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[Channel]:
     """Give a worker's channel, which takes one message at a time."""
     monkeypatch.setattr(redis.Channel, "QoS", redis.Channel.QoS)  # so that the change ends with the test
-    acknowledging.install()
-    with celery_app(settings).connection_for_read() as connection:
+    app = celery_app(settings)
+    listening.install(app)
+    with app.connection_for_read() as connection:
         channel = connection.channel()
         channel.basic_qos(0, 1)
         yield channel
@@ -48,3 +50,16 @@ def test_a_hanging_broker_does_not_make_a_worker_deaf(
         broker.signal(signal.SIGCONT)
     assert channel.qos.can_consume()
     queue.close()
+
+
+def test_a_worker_waits_for_tasks_alone(installation: Installation) -> None:
+    """It subscribes to no channel: when the broker was away Celery could read one without a time limit, deaf to all tasks."""
+    installation.start_worker()
+    client = installation.broker.client()
+    try:
+        waiting = [connection["cmd"] for connection in client.client_list()]
+        assert "brpop" in waiting
+        assert client.client_list(_type="pubsub") == []
+        assert client.pubsub_numpat() == 0
+    finally:
+        client.close()
