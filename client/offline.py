@@ -107,7 +107,7 @@ def _evaluate(
 ) -> Evaluation | None:
     """Read and evaluate one source; print its report."""
     read = read_predictions_leniently if lenient else read_predictions
-    intake = read(source, images=ground_truth.image_list())
+    intake = read(source, images=ground_truth.image_list(), labels=evaluated_labels(protocol))
     if notes := report_text(intake.report):
         print(f"{source}\n{notes}", file=sys.stderr)
     if intake.predictions is None:

@@ -83,6 +83,26 @@ def test_equal_submissions_do_not_differ(capsys: pytest.CaptureFixture[str]) -> 
     assert json.loads(capsys.readouterr().out)["difference"]["total"] == 0.0
 
 
+@pytest.mark.parametrize("options", [[], ["--lenient"]], ids=["strict", "lenient"])
+def test_compare_reads_classes_that_do_not_rank(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: list[str]
+) -> None:
+    """With every car a caravan the score of caravans is what that of cars was."""
+    arguments = [*ARGUMENTS, str(CASE / "pred"), str(CASE / "pred"), "--labels", "car", "--json", *options]
+    assert main(["compare", *arguments]) == 0
+    of_cars = json.loads(capsys.readouterr().out)["difference"]["mds"]
+    for part in ("gt", "pred"):
+        (tmp_path / part).mkdir()
+        for path in sorted((CASE / part).glob("*.json")):
+            (tmp_path / part / path.name).write_text(path.read_text().replace('"car"', '"caravan"'))
+
+    arguments = ["--gt", str(tmp_path / "gt"), *[str(tmp_path / "pred")] * 2, "--labels", "caravan", "--json", *options]
+    assert main(["compare", *arguments]) == 0
+
+    assert of_cars[0] > 0
+    assert json.loads(capsys.readouterr().out)["difference"]["mds"] == of_cars
+
+
 def test_a_path_that_is_not_there_is_wrong_usage(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The message names the path and what to give instead."""
     assert main(["diagnose", *ARGUMENTS, str(tmp_path / "missing.zip")]) == 2
