@@ -226,7 +226,8 @@ class AnswersRepeatedPolls(FastAPI):
             return None
         known = headers.get(b"if-none-match")
         held = known is not None and names_version(known.decode("latin-1"), answer.etag)
-        return answer.messages[scope["scheme"], held]
+        # A proxy may say any scheme, `wss` among them; only https has headers of its own.
+        return answer.messages["https" if scope["scheme"] == "https" else "http", held]
 
 
 def _is_poll(scope: Scope, polled: str) -> bool:

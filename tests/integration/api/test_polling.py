@@ -46,6 +46,15 @@ def test_kept_answer_is_like_the_first(site: Site, archive: bytes) -> None:
     assert "content-security-policy" in again.headers
 
 
+@pytest.mark.parametrize(("said", "secure"), [("http", False), ("https", True), ("ws", False), ("wss", False)])
+def test_kept_answer_comes_by_every_scheme_a_proxy_says(site: Site, archive: bytes, said: str, *, secure: bool) -> None:
+    """X-Forwarded-Proto of a trusted proxy, a scheme of web sockets included, is no obstacle; https alone adds HSTS."""
+    with site.client(site.token()) as client:
+        again = client.get(asked_twice(client, archive), headers={"X-Forwarded-Proto": said})
+    assert again.status_code == 200
+    assert ("strict-transport-security" in again.headers) is secure
+
+
 def test_kept_answer_is_for_its_token_alone(site: Site, archive: bytes) -> None:
     """Another team's token and no token find nothing where an answer is kept."""
     stranger = site.stranger()
