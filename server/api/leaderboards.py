@@ -82,8 +82,12 @@ def show_images(request: Request, benchmark: Slug, phase: Slug, web: WebDependen
         found = benchmarks.find_phase(session, benchmark, phase)
         if found.ground_truth is None:
             raise PhaseClosed(f"phase {phase} has no images yet: its ground truth is not imported")
-        body = web.services.blobs.read(found.ground_truth.image_list_sha256)
-        return _public(request, body, "application/json", file_name=f"{found.benchmark.slug}-{found.slug}-images.json")
+        sha256 = found.ground_truth.image_list_sha256
+        # The blob's name is its version: who holds it already is answered without reading it.
+        if unchanged := not_modified(request, _etag(sha256)):
+            return unchanged
+        name = f"{found.benchmark.slug}-{found.slug}-images.json"
+        return _public(request, web.services.blobs.read(sha256), "application/json", file_name=name)
 
     return read(web, asker, work)
 
@@ -146,8 +150,12 @@ def _inert(text: str) -> str:
 
 
 def _public(request: Request, body: bytes, media_type: str, *, file_name: str | None = None) -> Response:
-    etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
+    etag = _etag(hashlib.sha256(body).hexdigest())
     headers = {"ETag": etag, "Cache-Control": "public, no-cache", "Vary": "Accept"}
     if file_name:
         headers["Content-Disposition"] = f'attachment; filename="{file_name}"'
     return not_modified(request, etag) or Response(body, headers=headers, media_type=media_type)
+
+
+def _etag(sha256: str) -> str:
+    return f'"{sha256[:32]}"'

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from client.main import main
+from server import benchmarks
 from tests.integration.api.test_following import EXPECTED_MDS, own, zip_with
 from tests.integration.site import Site, send
 from tests.services.installation import SMALL_CASE
@@ -102,3 +103,16 @@ def test_the_images_of_a_hidden_phase_are_public(site: Site, tmp_path: Path) -> 
     assert set(document) == {"images", "intrinsics_px", "sensor_from_vehicle"}
     (tmp_path / "images.json").write_bytes(response.content)
     assert main(["validate", str(SMALL_CASE / "pred"), "--images", str(tmp_path / "images.json")]) == 0
+
+
+def test_who_holds_the_image_list_is_answered_without_reading_it(site: Site) -> None:
+    """With the version of If-None-Match the answer is 304 even when the store has lost the list."""
+    address = "/api/v1/benchmarks/cs3d/test/images"
+    with site.client() as nobody:
+        etag = nobody.get(address).headers["etag"]
+        with site.services.snapshot() as session:
+            ground_truth = benchmarks.find_phase(session, "cs3d", "test").ground_truth
+            assert ground_truth is not None
+            site.services.blobs.delete(ground_truth.image_list_sha256)
+        assert nobody.get(address, headers={"If-None-Match": '"other"'}).status_code == 404
+        assert nobody.get(address, headers={"If-None-Match": etag}).status_code == 304
