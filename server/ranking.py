@@ -103,11 +103,12 @@ def ranked(scores: Iterable[Score]) -> tuple[LeaderboardRow, ...]:
 def ranking_scores(session: Session, phase: Phase) -> dict[uuid.UUID, Score]:
     """Find the score that ranks for every published submission.
 
-    That is the one on the basis in force; where the evaluator version in force made none, the newest by another.
+    That is the one on the basis in force; where the evaluator version in force made none, the newest by another that
+    was in force.
     """
     basis = Basis.of(phase)
     in_force = sa.case((Score.evaluator_version == basis.evaluator_version, 1), else_=0)
-    return published_scores(session, phase, basis.may_rank(), in_force, Score.id)
+    return published_scores(session, phase, sa.and_(basis.may_rank(), was_in_force()), in_force, Score.id)
 
 
 def published_scores(
@@ -136,14 +137,12 @@ def published_scores(
 def ranking_score(submission: Submission) -> Score | None:
     """Find the score a submission is shown with: the one that ranks, else the newest that was ever in force."""
     basis = Basis.of(submission.phase)
-    fitting = [
-        score
-        for score in submission.scores
-        if (score.protocol, score.ground_truth_id) == (basis.protocol, basis.ground_truth_id)
-    ]
-    if fitting:
-        return max(fitting, key=lambda score: (score.evaluator_version == basis.evaluator_version, score.id))
-    return max(history(submission), key=lambda score: score.id, default=None)
+
+    def preference(score: Score) -> tuple[bool, bool, int]:
+        may_rank = (score.protocol, score.ground_truth_id) == (basis.protocol, basis.ground_truth_id)
+        return may_rank, may_rank and score.evaluator_version == basis.evaluator_version, score.id
+
+    return max(history(submission), key=preference, default=None)
 
 
 def history(submission: Submission) -> list[Score]:
@@ -152,14 +151,14 @@ def history(submission: Submission) -> list[Score]:
     What a re-scoring made is not among them until it is published: nobody sees half of a new ranking.
     """
     session = object_session(submission)
-    if session is None:
-        return []
-    query = sa.select(Score.id).where(Score.submission_id == submission.id, _was_in_force()).order_by(Score.id)
+    if session is None or len(submission.scores) < 2:  # noqa: PLR2004 - the first score is never a re-scoring's
+        return list(submission.scores)
+    query = sa.select(Score.id).where(Score.submission_id == submission.id, was_in_force())
     shown = set(session.scalars(query))
     return [score for score in submission.scores if score.id in shown]
 
 
-def _was_in_force() -> sa.ColumnElement[bool]:
+def was_in_force() -> sa.ColumnElement[bool]:
     """Match scores that no re-scoring made, or that a published one brought into force."""
     of_score = sa.select(RescoringItem.id).where(RescoringItem.score_id == Score.id)
     published = of_score.join(RescoringItem.rescoring).where(Rescoring.state == RescoringState.PUBLISHED)

@@ -17,7 +17,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from evaluator.protocol import EVALUATOR_VERSION, PROTOCOLS
-from server import audit, database
+from server import audit, database, exclusions
 from server.errors import Conflict, InvalidField, NotFound
 from server.models import (
     GroundTruthVersion,
@@ -94,7 +94,7 @@ def start(
     session.flush()
     cover(session, rescoring)
     basis = Basis.of(rescoring)
-    if basis == Basis.of(phase) and not waiting(session, rescoring):
+    if basis == Basis.of(phase) and _all_done(session, rescoring):
         message = (
             "every submission has its score by this protocol and evaluator on this ground truth; nothing was begun"
         )
@@ -158,7 +158,10 @@ def uncovered(session: Session, rescoring: Rescoring) -> list[uuid.UUID]:
 
 
 def cover(session: Session, rescoring: Rescoring, *, sent: bool = True) -> list[int]:
-    """Add an item for every scored submission without one; what has its score on the new basis already is done.
+    """Add an item for every scored submission without one.
+
+    What is excluded on the ground truth stays so until a maintainer takes it back, whatever scores it has; what has its
+    score on the new basis already is done.
 
     Args:
         session: Of the transaction.
@@ -177,7 +180,8 @@ def cover(session: Session, rescoring: Rescoring, *, sent: bool = True) -> list[
     )
     known = dict(session.execute(fitting.group_by(Score.submission_id)).all()) if missing else {}
     enqueued_at = database.now(session) if sent else None
-    items = [_item(rescoring, submission_id, known.get(submission_id)) for submission_id in missing]
+    excluded = exclusions.reasons(session, rescoring.ground_truth_id, missing)
+    items = [_item(rescoring, one, known.get(one), excluded.get(one)) for one in missing]
     for item in items:
         item.enqueued_at = enqueued_at
     session.add_all(items)
@@ -185,9 +189,15 @@ def cover(session: Session, rescoring: Rescoring, *, sent: bool = True) -> list[
     return [item.id for item in items if item.state is WAITING]
 
 
-def _item(rescoring: Rescoring, submission_id: uuid.UUID, score_id: int | None) -> RescoringItem:
-    state = WAITING if score_id is None else DONE
-    return RescoringItem(rescoring_id=rescoring.id, submission_id=submission_id, state=state, score_id=score_id)
+def _item(
+    rescoring: Rescoring, submission_id: uuid.UUID, score_id: int | None, exclusion_reason: str | None
+) -> RescoringItem:
+    item = RescoringItem(rescoring_id=rescoring.id, submission_id=submission_id, state=WAITING)
+    if exclusion_reason is not None:
+        item.state, item.exclusion_reason = EXCLUDED, exclusion_reason
+    elif score_id is not None:
+        item.state, item.score_id = DONE, score_id
+    return item
 
 
 def waiting(session: Session, rescoring: Rescoring) -> list[int]:
@@ -196,6 +206,12 @@ def waiting(session: Session, rescoring: Rescoring) -> list[int]:
         RescoringItem.rescoring_id == rescoring.id, RescoringItem.state == WAITING
     )
     return list(session.scalars(query.order_by(RescoringItem.id)))
+
+
+def _all_done(session: Session, rescoring: Rescoring) -> bool:
+    """Say whether there is nothing to do: what is excluded may be taken back, which takes a re-scoring."""
+    others = sa.exists().where(RescoringItem.rescoring_id == rescoring.id, RescoringItem.state != DONE)
+    return not session.scalar(sa.select(others))
 
 
 def progress(session: Session, rescoring: Rescoring) -> Progress:

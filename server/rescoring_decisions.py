@@ -78,24 +78,6 @@ def exclude(session: Session, rescoring: Rescoring, submission_id: uuid.UUID, re
     record(session, rescoring, "excluded", actor, submission=str(submission_id), reason=reason.strip())
 
 
-def exclusion_reason(session: Session, submission: Submission) -> str | None:
-    """Say why a submission has no score on the basis in force, when a maintainer excluded it from there."""
-    basis = Basis.of(submission.phase)
-    query = (
-        sa.select(RescoringItem.exclusion_reason)
-        .join(RescoringItem.rescoring)
-        .where(
-            RescoringItem.submission_id == submission.id,
-            RescoringItem.state == EXCLUDED,
-            Rescoring.state == RescoringState.PUBLISHED,
-            Rescoring.protocol == basis.protocol,
-            Rescoring.ground_truth_id == basis.ground_truth_id,
-        )
-        .order_by(RescoringItem.id.desc())
-    )
-    return session.scalar(query.limit(1))
-
-
 def publish(session: Session, phase: Phase, actor: str, **detail: Any) -> Rescoring:  # noqa: ANN401 - JSON
     """Put a complete re-scoring in force: the whole leaderboard ranks by it from this commit on.
 

@@ -94,7 +94,8 @@ def heartbeat(session: Session, held: Claim, *, stage: str, images_done: int, im
 def record_score(session: Session, held: Claim, result: Result) -> Score:
     """Write the score beside those there are, the item's end and the audit event: all of them or none.
 
-    What the integrity audit finds is kept with the score and holds nothing: the maintainer sees it in the diff.
+    What the integrity audit finds is kept with the score and holds nothing: the maintainer sees it in the diff. Where a
+    re-scoring that was discarded left the same score, that one stands: an exclusion that is taken back comes here.
 
     Raises:
         LeaseLost: The item was taken back; its score comes from another attempt.
@@ -106,8 +107,7 @@ def record_score(session: Session, held: Claim, result: Result) -> Score:
         message = f"the score is by evaluator {score.evaluator_version}; restart the worker after an upgrade"
         raise Conflict(message)
     score.integrity = msgspec.to_builtins(result.integrity)
-    session.add(score)
-    session.flush()
+    score = _kept(session, score)
     item.state, item.score_id, item.lease_expires_at = DONE, score.id, None
     session.flush()
     audit.record(
@@ -121,6 +121,20 @@ def record_score(session: Session, held: Claim, result: Result) -> Score:
         mds=score.mds,
     )
     return score
+
+
+def _kept(session: Session, score: Score) -> Score:
+    """Add a score, unless there is one of its signature."""
+    same = sa.select(Score).where(
+        Score.submission_id == score.submission_id,
+        Score.protocol_version == score.protocol_version,
+        Basis.of(score).fits(),
+    )
+    known = session.scalar(same)
+    if known is None:
+        session.add(score)
+        session.flush()
+    return known or score
 
 
 def fail(session: Session, held: Claim, *, code: str, detail: str) -> None:

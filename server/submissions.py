@@ -5,12 +5,12 @@ import uuid
 import sqlalchemy as sa
 from sqlalchemy.orm import Session, joinedload, object_session
 
-from server import audit, database, integrity, lifecycle, quota
+from server import audit, database, exclusions, integrity, lifecycle, quota
 from server.accounts import checked_slug, checked_text, is_member
 from server.blobs import Blobs, record_blob
 from server.errors import Conflict, Forbidden, Held, NotFound, NotScored, PhaseClosed
 from server.models import Method, Phase, Publication, Score, Submission, SubmissionState, Team, User
-from server.ranking import Basis
+from server.ranking import Basis, was_in_force
 
 
 def receive(
@@ -206,7 +206,7 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
     """Show the submission as its method's row on the leaderboard, instead of the one shown until now.
 
     Raises:
-        NotScored: It has no scores (yet), or none that rank.
+        NotScored: It has no scores (yet), or none that rank, or a maintainer excluded it from ranking.
         Forbidden: The phase does not allow it.
         Held: A maintainer must release it first.
     """
@@ -220,6 +220,9 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
         raise Forbidden(message)
     if submission.publication is Publication.PUBLISHED:
         return
+    if excluded := exclusions.reason(session, submission):
+        message = f"submission {submission.id} was not scored again on what ranks: {excluded}"
+        raise NotScored(message)
     if not _ranks(session, submission, phase):
         message = (
             f"submission {submission.id} was scored on ground truth or by a protocol that does not rank any more; send"
@@ -267,9 +270,12 @@ def _keep_in_force(session: Session, submission: Submission) -> Phase:
 def _ranks(session: Session, submission: Submission, phase: Phase) -> bool:
     """Say whether the submission has a score by its phase's protocol on the ground truth in force.
 
-    It has none when other ground truth was put in force since it was scored: published, it would be nowhere.
+    It has none when other ground truth was put in force since it was scored: published, it would be nowhere. What a
+    re-scoring made does not count before it is published.
     """
-    fitting = sa.select(Score.id).where(Score.submission_id == submission.id, Basis.of(phase).may_rank())
+    fitting = sa.select(Score.id).where(
+        Score.submission_id == submission.id, Basis.of(phase).may_rank(), was_in_force()
+    )
     return session.scalar(fitting.limit(1)) is not None
 
 

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import Response
 
 from evaluator.results import Scores
-from server import accounts, audit, integrity, ranking, rescoring_decisions, submissions
+from server import accounts, audit, exclusions, integrity, ranking, submissions
 from server.api import rendering
 from server.api.errors import MalformedRequest
 from server.api.identity import Identity
@@ -97,7 +97,7 @@ def submission_page(submission_id: str, visit: VisitDependency) -> Response:
             "steps": life(submission, audit.trail(session, audit.subject_of(submission))),
             "scores": scores,
             "history": rendering.history_of(submission) if scores else [],
-            "excluded": rescoring_decisions.exclusion_reason(session, submission),
+            "excluded": exclusions.reason(session, submission),
             "charts": charts,
             "audit": rendering.integrity_of(submission) if mine else None,
             "bin_metric": tables.View.from_query(visit.request.query_params, ()).bin_metric,

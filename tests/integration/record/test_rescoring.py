@@ -12,6 +12,7 @@ from server import (
     audit,
     backup,
     database,
+    exclusions,
     lifecycle,
     ranking,
     rescoring,
@@ -196,7 +197,7 @@ def test_an_excluded_submission_leaves_the_leaderboard(rescored: Rescored) -> No
     with rescored.services.transaction() as session:
         rough = submissions.find(session, rescored.ids["rough"])
         assert rough.publication is Publication.WITHDRAWN
-        assert rescoring_decisions.exclusion_reason(session, rough) == "its bytes are lost"
+        assert exclusions.reason(session, rough) == "its bytes are lost"
         with pytest.raises(NotScored):
             submissions.publish(session, rough, "user:1")
 
