@@ -17,27 +17,13 @@ from evaluator.intake import check_archive
 from server import accounts, benchmarks, quota, submissions
 from server.api.errors import ArchiveRefused, IdempotencyMismatch
 from server.api.identity import Identity
+from server.api.orders import Order
 from server.api.spool import SpooledFile
 from server.errors import Forbidden, InvalidField
 from server.models import Phase, Submission, Team, User
 from server.services import Services
 
 MAX_KEY_CHARACTERS = 255
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
-    """What the sender wants done with the archive."""
-
-    benchmark: str
-    phase: str
-    method: str
-    method_name: str | None = None
-    description: str = ""
-    file_name: str = "predictions.zip"
-    team: str | None = None
-    """Slug; needed by users of several teams who send without a token."""
-    idempotency_key: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

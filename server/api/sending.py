@@ -1,7 +1,6 @@
 """POST /api/v1/submissions: one archive, as the raw body or as a form; and the list of what was sent."""
 
 import re
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -25,8 +24,9 @@ from server.api.edge import (
 )
 from server.api.errors import InvalidValue, MalformedRequest, MissingToken, UnsupportedMediaType, ValidationFailed
 from server.api.identity import Credentials, Identity
-from server.api.multipart import Form, FormReader, boundary_of
-from server.api.receiving import Admission, Order
+from server.api.multipart import FormReader, boundary_of
+from server.api.orders import MAX_DESCRIPTION_CHARACTERS, MAX_TEXT_CHARACTERS, REQUIRED, Order, OrderFields, order_of
+from server.api.receiving import Admission
 from server.api.spool import FORM_OVERHEAD_BYTES, at_a_decent_pace
 from server.errors import (
     Conflict,
@@ -45,9 +45,7 @@ router = APIRouter(prefix="/submissions", tags=["submissions"])
 ARCHIVE_TYPES = {"application/zip", "application/x-zip-compressed", "application/octet-stream"}
 """Media types of a raw body; the last is what some clients call every file."""
 
-_FIELDS = ("benchmark", "phase", "method")
-
-_TEXT = {"type": "string", "minLength": 1}
+_TEXT = {"type": "string", "minLength": 1, "maxLength": MAX_TEXT_CHARACTERS}
 
 _BODY: dict[str, Any] = {
     "required": True,
@@ -57,13 +55,13 @@ _BODY: dict[str, Any] = {
         "multipart/form-data": {
             "schema": {
                 "type": "object",
-                "required": [*_FIELDS, "predictions"],
+                "required": [*REQUIRED, "predictions"],
                 "properties": {
                     "benchmark": _TEXT,
                     "phase": _TEXT,
                     "method": {**_TEXT, "description": "Slug; a new one makes a new method of your team"},
-                    "method_name": {"type": "string"},
-                    "description": {"type": "string"},
+                    "method_name": {"type": "string", "maxLength": MAX_TEXT_CHARACTERS},
+                    "description": {"type": "string", "maxLength": MAX_DESCRIPTION_CHARACTERS},
                     "predictions": {"type": "string", "format": "binary"},
                 },
             }
@@ -112,7 +110,8 @@ SENDING_PROBLEMS = (
 )
 """What may stop an upload on its way to a submission."""
 
-Text = Annotated[str | None, Query(max_length=200)]
+QueryFields = Annotated[OrderFields, Query()]
+QueryText = Annotated[str | None, Query(max_length=MAX_TEXT_CHARACTERS)]
 
 
 @router.post(
@@ -140,33 +139,17 @@ async def send_submission(
     request: Request,
     web: WebDependency,
     asker: Asker,
-    benchmark: Text = None,
-    phase: Text = None,
-    method: Text = None,
-    method_name: Text = None,
-    description: Annotated[str, Query(max_length=10_000)] = "",
-    file_name: Text = None,
-    team: Text = None,
+    fields: QueryFields,
 ) -> Response:
     """Take an archive and answer as soon as it is safe; scoring follows."""
-    given = {
-        "benchmark": benchmark,
-        "phase": phase,
-        "method": method,
-        "method_name": method_name,
-        "description": description,
-        "file_name": file_name,
-        "team": team,
-        "idempotency_key": idempotency_key(request),
-    }
+    key = idempotency_key(request)
     require_body(request)
     refuse_content_coding(request)
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind in ARCHIVE_TYPES:
-        submission_id = await receive_raw(request, web, asker, given)
+        submission_id = await receive_raw(request, web, asker, order_of(fields, key))
     else:
-        boundary = boundary_of(request.headers.get("content-type", ""))
-        submission_id = await receive_form(request, web, asker, given, boundary)
+        submission_id = await receive_form(request, web, asker, fields, key)
     return await run_in_threadpool(accepted, web, asker, submission_id)
 
 
@@ -203,9 +186,8 @@ def refuse_content_coding(request: Request) -> None:
         raise UnsupportedMediaType("Send the archive as it is, without Content-Encoding; a zip is compressed already.")
 
 
-async def receive_raw(request: Request, web: Web, asker: Credentials, given: dict[str, str | None]) -> str:
+async def receive_raw(request: Request, web: Web, asker: Credentials, order: Order) -> str:
     """Take an archive that is the body."""
-    order = order_of(given)
     announced = announced_sha256(request.headers)
     admission = await run_in_threadpool(admit, web, asker, order)
     async with web.gate.spool(admission.user_id, announced_size(request)) as spool:
@@ -216,10 +198,9 @@ async def receive_raw(request: Request, web: Web, asker: Credentials, given: dic
         return str(await run_in_threadpool(receiving.keep, web.services, admission, order, spooled))
 
 
-async def receive_form(
-    request: Request, web: Web, asker: Credentials, given: dict[str, str | None], boundary: bytes
-) -> str:
-    """Take an archive that is the part `predictions` of a form."""
+async def receive_form(request: Request, web: Web, asker: Credentials, fields: OrderFields, key: str | None) -> str:
+    """Take an archive that is the part `predictions` of a form, whose fields go before those of the query."""
+    boundary = boundary_of(request.headers.get("content-type", ""))
     user_id = await run_in_threadpool(_require, web, asker)
     # The digest of a form covers its framing too; it is not the archive's.
     if announced_sha256(request.headers) is not None:
@@ -227,34 +208,13 @@ async def receive_form(
     async with web.gate.spool(user_id, announced_archive(request)) as spool:
         reader = FormReader(boundary, spool, file_field="predictions")
         form = await reader.read(at_a_decent_pace(request.stream(), web.gate.limits))
-        order = order_of(_merged(given, form))
+        given = OrderFields.of_form(fields.model_dump(exclude_unset=True) | form.fields)
+        order = order_of(given, key, file_name=form.file_name)
         if form.file_name is None:
             raise ValidationFailed((InvalidValue("body/predictions", "the archive is missing"),))
         spooled = await spool.finish()
         admission = await run_in_threadpool(admit, web, asker, order)
         return str(await run_in_threadpool(receiving.keep, web.services, admission, order, spooled))
-
-
-def order_of(given: Mapping[str, str | None]) -> Order:
-    """Read an order from the fields of a request.
-
-    Raises:
-        ValidationFailed: Fields are missing.
-    """
-    missing = [InvalidValue(name, "is missing") for name in _FIELDS if not given.get(name)]
-    if missing:
-        raise ValidationFailed(tuple(missing))
-    file_name = given.get("file_name") or "predictions.zip"
-    return Order(
-        benchmark=given["benchmark"] or "",
-        phase=given["phase"] or "",
-        method=given["method"] or "",
-        method_name=given.get("method_name") or None,
-        description=given.get("description") or "",
-        file_name=file_name,
-        team=given.get("team") or None,
-        idempotency_key=given.get("idempotency_key"),
-    )
 
 
 def announced_size(request: Request) -> int | None:
@@ -278,10 +238,6 @@ def admit(web: Web, asker: Credentials, order: Order) -> Admission:
 def _require(web: Web, asker: Credentials) -> int:
     with web.services.snapshot() as session:
         return web.identities.require(session, asker).user.id
-
-
-def _merged(given: dict[str, str | None], form: Form) -> dict[str, str | None]:
-    return {**given, **form.fields, "file_name": form.fields.get("file_name") or form.file_name}
 
 
 def accepted(web: Web, asker: Credentials, submission_id: str) -> Response:
@@ -317,8 +273,8 @@ def list_submissions(
     *,
     web: WebDependency,
     asker: Asker,
-    benchmark: Text = None,
-    phase: Text = None,
+    benchmark: QueryText = None,
+    phase: QueryText = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
     offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
 ) -> Response:

@@ -36,9 +36,10 @@ from server.api.errors import (
     UploadTimeout,
 )
 from server.api.identity import Credentials, Identity
+from server.api.orders import Order, OrderFields, order_of
 from server.api.parts import PartFile, locked
-from server.api.receiving import Admission, Order
-from server.api.sending import SENDING_PROBLEMS, Text, accepted, order_of, refuse_content_coding
+from server.api.receiving import Admission
+from server.api.sending import SENDING_PROBLEMS, QueryFields, accepted, refuse_content_coding
 from server.api.spool import SpooledFile, at_a_decent_pace, check_floor
 from server.errors import NotAuthenticated, NotFound
 from server.models import Team, Upload
@@ -90,25 +91,10 @@ def begin_upload(
     web: WebDependency,
     asker: Asker,
     length: Annotated[int, Header(alias="Upload-Length", ge=1, le=1 << 50)],
-    benchmark: Text = None,
-    phase: Text = None,
-    method: Text = None,
-    method_name: Text = None,
-    description: Text = "",
-    file_name: Text = None,
-    team: Text = None,
+    fields: QueryFields,
 ) -> Response:
     """Announce an archive. `Repr-Digest` of the whole is checked at the end."""
-    given = {
-        "benchmark": benchmark,
-        "phase": phase,
-        "method": method,
-        "method_name": method_name,
-        "description": description,
-        "file_name": file_name,
-        "team": team,
-    }
-    order = order_of(given)
+    order = order_of(fields)
     announced = announced_sha256(request.headers)
     web.gate.check_room(length)
     folder = uploads.folder_of(web.services.settings.data_dir)
@@ -120,7 +106,7 @@ def begin_upload(
             session,
             user=identity.user,
             team=session.get_one(Team, admission.team_id),
-            fields=given,
+            fields=fields.model_dump(),
             length_bytes=length,
             sha256=announced,
         )
@@ -306,7 +292,7 @@ def _open(web: Web, asker: Credentials, upload_id: str) -> _Open:
     def work(session: Session, identity: Identity | None) -> _Open:
         upload = _find(session, upload_id, identity)
         # One upload is one submission, even when a crash lets its last part be sent again.
-        order = replace(order_of(upload.fields), idempotency_key=f"upload:{upload.id}")
+        order = order_of(OrderFields.model_validate(upload.fields), f"upload:{upload.id}")
         return _Open(
             id=upload.id,
             offset=upload.offset_bytes,

@@ -14,9 +14,10 @@ from server.api import receiving
 from server.api.errors import InvalidValue, MissingToken, ValidationFailed
 from server.api.identity import Identity
 from server.api.multipart import Form, FormReader, boundary_of
+from server.api.orders import Order, OrderFields, order_of
 from server.api.problems import ProblemDocument, problem_of
 from server.api.receiving import Admission
-from server.api.sending import announced_archive, order_of
+from server.api.sending import announced_archive
 from server.api.spool import Spool, at_a_decent_pace
 from server.errors import ServerError
 from server.models import Method, User
@@ -77,7 +78,7 @@ async def _receive(request: Request, visit: Visit, boundary: bytes, fields: Fiel
         if not form.file_name:
             raise ValidationFailed((InvalidValue("predictions", "choose the zip of your predictions"),))
         spooled = await spool.finish()
-        order = order_of({**fields, "file_name": form.file_name})
+        order = order_of(OrderFields.of_form(fields), file_name=form.file_name)
         admission = await run_in_threadpool(_admit, visit, order)
         return str(await run_in_threadpool(receiving.keep, web.services, admission, order, spooled))
 
@@ -113,7 +114,7 @@ def _user_of(session: Session, visit: Visit) -> User:
     return user
 
 
-def _admit(visit: Visit, order: receiving.Order) -> Admission:
+def _admit(visit: Visit, order: Order) -> Admission:
     with visit.web.services.snapshot() as session:
         return receiving.admit(session, Identity(_user_of(session, visit), None), order)
 

@@ -107,3 +107,27 @@ def test_a_form_announced_far_too_large_is_refused_before_its_body(quiet_service
     with running_site(quiet_services, limits=limits) as site, site.client(site.token()) as client:
         response = post(client, bytes(len(archive) + FORM_OVERHEAD_BYTES + 1))
         assert (response.status_code, problem_of(response)["code"]) == (413, "too_large")
+
+
+def every_way(client: httpx.Client, archive: bytes, **fields: str) -> list[httpx.Response]:
+    """Send fields raw, in a form, and to begin a resumable upload."""
+    given = {"benchmark": "cs3d", "phase": "test", "method": "ours", **fields}
+    return [
+        client.post("/api/v1/submissions", params=given, content=archive, headers={"Content-Type": "application/zip"}),
+        client.post("/api/v1/submissions", data=given, files={"predictions": ("p.zip", archive)}),
+        client.post("/api/v1/uploads", params=given, headers={"Upload-Length": "100"}),
+    ]
+
+
+@pytest.mark.parametrize(("name", "most"), [("description", 10_000), ("method_name", 200)])
+def test_a_field_may_be_as_long_in_every_way_of_sending(site: Site, archive: bytes, name: str, most: int) -> None:
+    """Raw, in a form and in a resumable upload the same length is taken; one character more is 422 and says where."""
+    with site.client(site.token()) as client:
+        taken = every_way(client, archive, **{name: "d" * most})
+        refused = every_way(client, archive, **{name: "d" * (most + 1)})
+    assert [response.status_code for response in taken] == [202, 202, 201]
+    assert [(response.status_code, problem_of(response)["code"]) for response in refused] == [
+        (422, "invalid_request")
+    ] * 3
+    places = [[error["pointer"] for error in response.json()["errors"]] for response in refused]
+    assert places == [[f"query/{name}"], [f"body/{name}"], [f"query/{name}"]]
