@@ -8,13 +8,14 @@ import pytest
 import sqlalchemy as sa
 
 from evaluator.score_replicates import STANDARD_DRAW, ScoreReplicates
-from server import database, models, resampling
+from server import audit, database, models, resampling
 from server.models import Score, SubmissionState
 from server.queue import PRIORITY_LATER
 from tests.services.installation import Installation
 from tests.services.processes import wait_until
+from worker.child import EXIT_NO_ROOM
 from worker.evaluation import evaluate_submission
-from worker.messages import AnyJob, Event, Exit
+from worker.messages import AnyJob, Broken, Event, Exit
 from worker.resampling import resample_score
 from worker.sandbox import Sandbox
 
@@ -104,18 +105,62 @@ def test_what_cannot_be_resampled_is_tried_once(installation: Installation, sand
         assert resampling.statistics_waiting(session, score_id) is None
 
 
-class _KilledSandbox(Sandbox):
-    """A sandbox whose jobs are killed before they say anything."""
+class _EndingSandbox(Sandbox):
+    """A sandbox whose jobs end as they are told to."""
+
+    def __init__(self, *said: Event) -> None:
+        super().__init__()
+        self._said = said
 
     def events(self, job: AnyJob, *, tick_s: float) -> Generator[Event | None, None, None]:
         """End at once."""
         del job, tick_s
-        yield Exit(status=-signal.SIGKILL)
+        yield from self._said
 
 
-def test_what_is_killed_waits_for_another_try(installation: Installation, sandbox: Sandbox) -> None:
-    """A resampling that somebody killed says nothing about the score."""
-    score_id = _scored(installation, sandbox)
-    resample_score(installation.services, _KilledSandbox(), score_id, worker="test")
+KILLED = (Exit(status=-signal.SIGKILL),)
+TOO_SLOW = (Exit(status=-signal.SIGXCPU),)
+BROKEN = (Broken(detail="FileNotFoundError at jobs.py:1"), Exit(status=0))
+DIED = (Exit(status=1),)
+NO_ROOM = (Exit(status=EXIT_NO_ROOM),)
+
+
+def _try(installation: Installation, score_id: int, said: tuple[Event, ...]) -> bool:
+    """Resample to this end, and say whether the score still waits."""
+    resample_score(installation.services, _EndingSandbox(*said), score_id, worker="test")
     with installation.services.snapshot() as session:
-        assert resampling.statistics_waiting(session, score_id) is not None
+        return resampling.statistics_waiting(session, score_id) is not None
+
+
+@pytest.mark.parametrize("said", [KILLED, TOO_SLOW, BROKEN, DIED, NO_ROOM])
+def test_what_comes_to_no_end_waits_for_another_try(
+    installation: Installation, sandbox: Sandbox, said: tuple[Event, ...]
+) -> None:
+    """A resampling that was killed, too slow, broken or without room says nothing about the score; the next one counts."""
+    score_id = _scored(installation, sandbox)
+    assert _try(installation, score_id, said)
+    resample_score(installation.services, sandbox, score_id, worker="test")
+    assert ScoreReplicates.from_bytes(_kept(installation)[0]).draw == STANDARD_DRAW
+
+
+def test_what_always_takes_too_long_is_given_up(installation: Installation, sandbox: Sandbox) -> None:
+    """The third try that comes to no end is the last; a full disk is no try."""
+    score_id = _scored(installation, sandbox)
+    ends = [TOO_SLOW, NO_ROOM, KILLED, NO_ROOM]
+    assert [_try(installation, score_id, said) for said in ends] == [True] * 4
+    assert not _try(installation, score_id, TOO_SLOW)
+    assert _kept(installation) == [resampling.NONE_POSSIBLE]
+    subject = f"score:{score_id}"
+    with installation.services.snapshot() as session:
+        reasons = [event.detail["reason"].split(":")[0] for event in audit.trail(session, subject)]
+    assert reasons == ["time_limit", "scoring_killed", "time_limit"]
+
+
+def test_the_next_try_is_not_at_once(installation: Installation, sandbox: Sandbox) -> None:
+    """After a try that came to no end the sweeper leaves the score alone for a while, and sends what is not tried yet."""
+    tried, untried = (_scored(installation, sandbox) for _ in range(2))
+    services = installation.services
+    wait_until(lambda: _is_overdue(installation, untried), what="that the messages are overdue")
+    assert _try(installation, tried, TOO_SLOW)
+    installation.broker.lose_everything()
+    assert resampling.sweep(services) == 1
