@@ -58,6 +58,7 @@ def read_predictions(
         if files is not None:
             reading = StrictReading(files, None if images is None else images.images, labels, limits, findings)
             predictions = reading.read(progress)
+            reading.note_unevaluated_labels()
             examine(predictions, images=images, known_labels=reading.known_labels, findings=findings)
             found, expected, boxes = len(reading.assigned), len(reading.images), reading.boxes
     report = findings.report(images_expected=expected, images_found=found, boxes=boxes)

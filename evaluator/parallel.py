@@ -1,40 +1,39 @@
 """Evaluation of a submission's file with the work split by image over two processes.
 
-Both halves are read and matched at the same time; their statistics are joined, bit for bit what one process gives.
-Only clean submissions go this way to the end: whatever has errors, or looks like a mistake in either half, is read
-once more in one piece, so that there is one report and one place that writes it.
+Both halves are read and matched at the same time; their statistics are joined, bit for bit what one process gives, and
+the doctor sees the boxes of both. Where a file of either half has something to be said about, everything is read once
+more in one piece, so that there is one report and one place that writes it.
 """
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TypeVar
 
-import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from evaluator.archive import digest, open_source
-from evaluator.codes import Code
 from evaluator.decoding import garbage_collection_paused
-from evaluator.doctor import examine
+from evaluator.doctor import Evidence, conclude, gather_evidence
 from evaluator.evaluation import evaluate, match_by_protocol, score_by_protocol, signature_of
 from evaluator.findings import Findings
 from evaluator.ground_truth import GroundTruth
 from evaluator.intake import read_predictions
 from evaluator.limits import DEFAULT_LIMITS
 from evaluator.matching import evaluated_labels
-from evaluator.predictions import Predictions
+from evaluator.predictions import Float64Array, Predictions
 from evaluator.protocol import Protocol
 from evaluator.report import ProblemGroup, Report
 from evaluator.results import Scores
 from evaluator.statistics import Statistics, collect, join
 from evaluator.strict import StrictReading
 
-_FEWEST_BOXES = 400
-"""In all; with fewer, half of them may be too few to recognise a mistake by, and one process is as fast."""
+_T = TypeVar("_T")
 
 _OWN_SHARE = 0.48
 """Of the images for the process that also computes the digest, so that both are done at the same time."""
@@ -56,9 +55,10 @@ class _Half:
     """What one process found on its images."""
 
     statistics: Statistics
-    boxes: int
-    left_out: ProblemGroup | None
-    """The note on boxes of classes that are not evaluated; anything else ends this way of evaluating."""
+    score: Float64Array
+    """(N,) of its boxes."""
+    label_counts: NDArray[np.int64]
+    """(L,) boxes of each known class."""
 
 
 def two_processes_help() -> bool:
@@ -112,38 +112,44 @@ def _evaluate_in_halves(
         if findings.error_count:
             return None
         middle = int(len(ground_truth.images) * _OWN_SHARE)
-        with _forked(reading, findings, ground_truth, protocol, slice(middle, None)) as answer:
-            first = _evaluate_half(reading, findings, ground_truth, protocol, slice(0, middle))
+        with _forked(reading, findings, ground_truth, protocol, slice(middle, None)) as other:
+            own = _evaluate_half(reading, findings, ground_truth, protocol, slice(0, middle))
             sha256 = digest(source)
-            second = answer.receive()
-            if first is None or second is None or first.boxes + second.boxes < _FEWEST_BOXES:
+            second = other.receive(_Half)
+            if own is None or second is None:
                 return None
-            # The other process takes its time to end; meanwhile there is enough to do here.
+            first, predictions = own
+            other.send(len(predictions))
+            # The other process has a sample to take, and takes its time to end; meanwhile there is enough to do here.
             statistics = join([first.statistics, second.statistics])
-            signature = signature_of(protocol, ground_truth_sha256, sha256)
-            return FileEvaluation(
-                scores=score_by_protocol(statistics, signature),
-                statistics=statistics,
-                report=_report(findings, first, second, len(ground_truth.images)),
-                predictions_sha256=sha256,
-            )
+            scores = score_by_protocol(statistics, signature_of(protocol, ground_truth_sha256, sha256))
+            evidence = gather_evidence(predictions, ground_truth, after=len(second.score)), other.receive(Evidence)
+            if evidence[1] is None:
+                return None
+            reading.label_counts = first.label_counts + second.label_counts
+            reading.note_unevaluated_labels()
+            score = np.concatenate([first.score, second.score])
+            conclude(score, Evidence.joined(evidence[0], evidence[1]), findings)
+            images = len(ground_truth.images)
+            report = findings.report(images_expected=images, images_found=images, boxes=len(score))
+            return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=sha256)
 
 
 def _evaluate_half(
     reading: StrictReading, findings: Findings, ground_truth: GroundTruth, protocol: Protocol, part: slice
-) -> _Half | None:
-    """Read and match the images of one part; None when there is anything to report but boxes left out."""
-    before = len(_groups(findings))
+) -> tuple[_Half, Predictions] | None:
+    """Read and match the images of one part; None when there is anything to say about its files.
+
+    The predictions are of all images, but hold the boxes of the part only.
+    """
+    before = _groups(findings)
     reading.assigned = reading.assigned[part]
-    predictions = predictions_of(reading.read(None), part)
-    truth = ground_truth_of(ground_truth, part)
-    examine(predictions, images=truth, known_labels=reading.known_labels, findings=findings)
-    found = {group.code: group for group in _groups(findings)}
-    left_out = found.pop(Code.UNEVALUATED_LABEL.value, None)
-    if len(found) != before or findings.error_count:
+    predictions = reading.read(None)
+    if _groups(findings) != before:
         return None
-    statistics = collect(truth, predictions, match_by_protocol(truth, predictions, protocol), protocol)
-    return _Half(statistics, reading.boxes, left_out)
+    truth, own = ground_truth_of(ground_truth, part), predictions_of(predictions, part)
+    statistics = collect(truth, own, match_by_protocol(truth, own, protocol), protocol)
+    return _Half(statistics, predictions.score, reading.label_counts), predictions
 
 
 def _groups(findings: Findings) -> tuple[ProblemGroup, ...]:
@@ -184,50 +190,50 @@ def ground_truth_of(ground_truth: GroundTruth, part: slice) -> GroundTruth:
     )
 
 
-def _report(findings: Findings, first: _Half, second: _Half, images: int) -> Report:
-    """Return the report of both halves: that of the first, with what the second left out."""
-    if second.left_out is not None:
-        for index, problem in enumerate(second.left_out.problems):
-            count = 0 if index else second.left_out.count
-            findings.add(Code.UNEVALUATED_LABEL, found=problem.found, count=count)
-    report = findings.report(images_expected=images, images_found=images, boxes=first.boxes + second.boxes)
-    groups = (msgspec.structs.replace(g, problems=tuple(dict.fromkeys(g.problems))) for g in report.groups)
-    return msgspec.structs.replace(report, groups=tuple(groups))
-
-
-class _Answer:
-    """Where the other process's result arrives."""
+class _Other:
+    """The other process; it may die at any moment."""
 
     def __init__(self, connection: Connection) -> None:
-        """Take the receiving end."""
+        """Take this end of the line."""
         self._connection = connection
 
-    def receive(self) -> _Half | None:
-        """Wait for the result; None also when the process died."""
+    def send(self, boxes_before: int) -> None:
+        """Tell how many boxes come before those of the other half, which it answers with its evidence."""
+        with suppress(OSError):
+            self._connection.send(boxes_before)
+
+    def receive(self, kind: type[_T]) -> _T | None:
+        """Wait for what it sends; None also when it died."""
         try:
             result = self._connection.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return None
-        return result if isinstance(result, _Half) else None
+        return result if isinstance(result, kind) else None
 
 
 @contextmanager
 def _forked(
     reading: StrictReading, findings: Findings, ground_truth: GroundTruth, protocol: Protocol, part: slice
-) -> Iterator[_Answer]:
+) -> Iterator[_Other]:
     """Evaluate a part in a forked process, which shares the open archive and the ground truth."""
     context = get_context("fork")
-    receiving, sending = context.Pipe(duplex=False)
+    here, there = context.Pipe()
 
     def work() -> None:
-        sending.send(_evaluate_half(reading, findings, ground_truth, protocol, part))
+        done = _evaluate_half(reading, findings, ground_truth, protocol, part)
+        if done is None:
+            there.send(None)
+            return
+        half, predictions = done
+        there.send(half)
+        there.send(gather_evidence(predictions, ground_truth, before=there.recv()))
 
     process = context.Process(target=work, daemon=True)
     process.start()
-    sending.close()
+    there.close()
     try:
-        yield _Answer(receiving)
+        yield _Other(here)
     finally:
-        receiving.close()
+        here.close()
         process.kill()
         process.join()

@@ -35,7 +35,7 @@ class StrictReading:
         self._findings = findings
         self.known_labels = frozenset((*VEHICLE_LABELS, *labels))
         self._labels_in_order = (*labels, *sorted(self.known_labels - set(labels)))
-        self._label_counts = np.zeros(len(self._labels_in_order), dtype=np.int64)
+        self.label_counts = np.zeros(len(self._labels_in_order), dtype=np.int64)
         self._explained: set[int] = set()
         self._explained_bytes = 0
         self.boxes = 0
@@ -57,10 +57,13 @@ class StrictReading:
                 batch = _Batch(self._labels_in_order)
                 if progress is not None:
                     progress(done, len(self.assigned))
-        for number in range(len(self._labels), len(self._labels_in_order)):
-            if count := int(self._label_counts[number]):
-                self._findings.add(Code.UNEVALUATED_LABEL, found=self._labels_in_order[number], count=count)
         return concatenate(parts, self.images, self._labels)
+
+    def note_unevaluated_labels(self) -> None:
+        """Note which of the data set's other classes there were boxes of."""
+        for number in range(len(self._labels), len(self._labels_in_order)):
+            if count := int(self.label_counts[number]):
+                self._findings.add(Code.UNEVALUATED_LABEL, found=self._labels_in_order[number], count=count)
 
     def _read_bytes(self, number: int) -> bytes | None:
         """Read one file, reporting when that is impossible."""
@@ -106,7 +109,7 @@ class StrictReading:
         known = len(self._labels_in_order)
         for place in np.unique(batch.file_index[columns.rows_to_explain(known)]):
             self._explain(batch.numbers[place], batch.data[place])
-        self._label_counts += np.bincount(columns.label_index, minlength=known)[:known]
+        self.label_counts += np.bincount(columns.label_index, minlength=known)[:known]
         evaluated = columns.of_first_labels(len(self._labels))
         self.boxes += len(evaluated.score)
         return evaluated

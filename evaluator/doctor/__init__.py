@@ -8,14 +8,14 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 
 from evaluator.codes import Code
-from evaluator.doctor.evidence import FEWEST_BOXES, Cameras, gather_evidence
+from evaluator.doctor.evidence import FEWEST_BOXES, Cameras, Evidence, gather_evidence
 from evaluator.doctor.image import check_image
 from evaluator.doctor.space import check_space
 from evaluator.doctor.values import check_labels, check_scores
 from evaluator.findings import Findings
-from evaluator.predictions import Predictions
+from evaluator.predictions import Float64Array, Predictions
 
-__all__ = ["examine"]
+__all__ = ["Evidence", "conclude", "examine", "gather_evidence"]
 
 
 def examine(
@@ -31,8 +31,18 @@ def examine(
     """
     numbers = [found.removeprefix("the number ") for found in findings.found(Code.WRONG_TYPE, pointer_end="/label")]
     check_labels([*findings.found(Code.UNKNOWN_LABEL), *numbers], known_labels, findings)
-    with np.errstate(all="ignore"):
-        check_scores(predictions.score, findings)
-        evidence = gather_evidence(predictions, images)
-        if len(evidence) >= FEWEST_BOXES:
-            check_image(evidence, findings, explained=check_space(evidence, findings))
+    conclude(predictions.score, gather_evidence(predictions, images), findings)
+
+
+@np.errstate(all="ignore")
+def conclude(score: Float64Array, evidence: Evidence, findings: Findings) -> None:
+    """Look for mistakes in numbers and add a warning for each.
+
+    Args:
+        score: (N,) of all boxes that could be read.
+        evidence: a sample of them.
+        findings: receives the warnings.
+    """
+    check_scores(score, findings)
+    if len(evidence) >= FEWEST_BOXES:
+        check_image(evidence, findings, explained=check_space(evidence, findings))

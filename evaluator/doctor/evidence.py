@@ -1,6 +1,6 @@
 """What the convention doctor looks at: plausible boxes with their cameras, and how well 2D and 3D fit together."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Self
 
@@ -43,6 +43,12 @@ class Evidence:
     def __len__(self) -> int:
         """Count the boxes."""
         return len(self.center_m)
+
+    @classmethod
+    def joined(cls, first: Self, second: Self) -> Self:
+        """Put the boxes of one after those of the other."""
+        both = ((field.name, getattr(first, field.name), getattr(second, field.name)) for field in fields(cls))
+        return cls(**{name: np.concatenate(parts) for name, *parts in both})
 
     @property
     def has_cameras(self) -> bool:
@@ -96,14 +102,20 @@ def _iou(first: Float64Array, second: Float64Array) -> Float64Array:
     return iou
 
 
-def gather_evidence(predictions: Predictions, images: Cameras | None) -> Evidence:
+@np.errstate(all="ignore")
+def gather_evidence(predictions: Predictions, images: Cameras | None, *, before: int = 0, after: int = 0) -> Evidence:
     """Take a sample of the boxes whose values are plausible each by itself.
 
+    The samples of the parts of a submission, joined, are the sample of the whole.
+
     Args:
-        predictions: all boxes that could be read, of a submission with errors, too.
+        predictions: all boxes that could be read, of a submission with errors, too; or a part of them.
         images: cameras, where known.
+        before: how many boxes the submission has before this part.
+        after: how many behind it.
     """
-    sampled = np.arange(0, len(predictions), max(1, len(predictions) // MOST_BOXES))
+    step = max(1, (before + len(predictions) + after) // MOST_BOXES)
+    sampled = np.arange(-before % step, len(predictions), step)
     chosen = sampled[_plausible(predictions, sampled)]
     image = predictions.image_index[chosen]
     known = images is not None and len(images.intrinsics_px) == len(predictions.images) > 0

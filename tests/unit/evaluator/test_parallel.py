@@ -3,6 +3,7 @@
 import json
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -40,17 +41,24 @@ def test_halves_give_the_same_bits(ground_truth: GroundTruth) -> None:
 
 
 def test_boxes_left_out_are_counted_over_both_halves(ground_truth: GroundTruth, tmp_path: Path) -> None:
-    """A caravan in the first and one in the last image give one note that counts two."""
+    """Trailers in the first and the last image and a caravan in the last give one note that counts three.
+
+    Caravans come first, as in one process, though the first half has none.
+    """
     names = sorted(path.name for path in (CASE / "pred").iterdir())
-    caravan = json.loads((CASE / "pred" / names[0]).read_bytes())
-    caravan["objects"][0]["label"] = "caravan"
-    changes = dict.fromkeys((names[0], names[-1]), json.dumps({"objects": caravan["objects"][:1]}).encode())
+    box = json.loads((CASE / "pred" / names[0]).read_bytes())["objects"][0]
+    trailer, caravan = ({**box, "label": label} for label in ("trailer", "caravan"))
+    changes = {
+        names[0]: json.dumps({"objects": [trailer]}).encode(),
+        names[-1]: json.dumps({"objects": [trailer, caravan]}).encode(),
+    }
 
     one, two = (
         evaluate_file(_zip(tmp_path, changes), ground_truth, CITYSCAPES3D, split=split) for split in (False, True)
     )
 
-    assert [(group.code, group.count) for group in two.report.groups] == [("unevaluated_label", 2)]
+    assert [(group.code, group.count) for group in two.report.groups] == [("unevaluated_label", 3)]
+    assert [problem.found for problem in two.report.groups[0].problems] == ["caravan", "trailer"]
     assert (one.scores, one.report) == (two.scores, two.report)
 
 
@@ -81,6 +89,42 @@ def test_recognised_mistakes_are_said(ground_truth: GroundTruth, tmp_path: Path,
 
     assert "quaternion_xyzw" in {group.code for group in two.report.groups}
     assert (one.scores, one.report) == (two.scores, two.report)
+
+
+def test_a_mistake_that_neither_half_shows_is_said(ground_truth: GroundTruth, tmp_path: Path) -> None:
+    """Of the own road there is one vehicle in two of five images, backwards: 24, of which either half has 12.
+
+    The doctor wants twenty (FEWEST_BOXES).
+    """
+    changes = {}
+    for number, file in enumerate(sorted((CASE / "pred").iterdir())):
+        boxes = json.loads(file.read_bytes())["objects"]
+        kept = [box for box in boxes if not _on_own_road(box)]
+        ahead = [box for box in boxes if _on_own_road(box) and abs(_forward(box)) > 0.95]
+        if number % 5 < 2:
+            kept.append(ahead[0])
+            if _forward(ahead[0]) > 0:
+                w, x, y, z = ahead[0]["3d"]["rotation"]
+                ahead[0]["3d"]["rotation"] = [-z, y, -x, w]  # half a turn about the upright axis: q k
+        changes[file.name] = json.dumps({"objects": kept}).encode()
+    source = _zip(tmp_path, changes)
+
+    one, two = (evaluate_file(source, ground_truth, CITYSCAPES3D, split=split) for split in (False, True))
+
+    assert [group.code for group in one.report.groups] == ["yaw_off_by_180"]
+    assert (one.scores, one.report) == (two.scores, two.report)
+
+
+def _on_own_road(box: dict[str, Any]) -> bool:
+    """Tell whether a box is where the doctor looks at headings: 12 m to the right to 2 m to the left, ahead."""
+    ahead, left, _ = box["3d"]["center"]
+    return bool(ahead > 0 and -12 <= left <= 2)
+
+
+def _forward(box: dict[str, Any]) -> float:
+    """Return the cosine between the box's front and straight ahead: 1 - 2 (y y + z z) of a unit quaternion."""
+    _, _, y, z = box["3d"]["rotation"]
+    return float(1 - 2 * (y * y + z * z))
 
 
 def test_parts_of_the_ground_truth_hold_every_box_once(ground_truth: GroundTruth) -> None:
