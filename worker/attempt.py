@@ -121,13 +121,13 @@ class Attempt:
             self._heartbeat()
 
     def _heartbeat(self) -> None:
-        """Renew the lease; a database that is away for a moment is asked again at the next beat."""
+        """Renew the lease; a database that is away or full for a moment is asked again at the next beat."""
         self.last_heartbeat_s = time.monotonic()
         now = self.progress
         try:
             with self.services.transaction() as session:
                 self.record.heartbeat(session, self.held, stage=now.stage, images_done=now.done, images_total=now.total)
-        except Unavailable as error:
+        except (Unavailable, StorageFull) as error:
             log.warning("heartbeat_failed", error=repr(error))
 
     def _validated(self) -> None:
@@ -222,13 +222,13 @@ class Attempt:
 
 
 def patiently(services: Services, act: Callable[[Session], Value], *, reads_only: bool = False) -> Value:
-    """Act in one transaction; the work is done, so a database that is away is waited for, as long as a lease lasts."""
+    """Act in one transaction; the work is done, so a database away or full is waited for, as long as a lease lasts."""
     patience_s = time.monotonic() + services.settings.lease_s
     while True:
         try:
             with services.snapshot() if reads_only else services.transaction() as session:
                 return act(session)
-        except Unavailable as error:
+        except (Unavailable, StorageFull) as error:
             if time.monotonic() > patience_s:
                 raise
             log.warning("database_waited_for", error=repr(error))
@@ -267,7 +267,7 @@ def end_is_written_elsewhere() -> Iterator[None]:
     """Somebody else has the submission, or will have it when the lease runs out: then its end is theirs to write."""
     try:
         yield
-    except (LeaseLost, Unavailable) as error:
+    except (LeaseLost, Unavailable, StorageFull) as error:
         log.warning(error.code, detail=str(error))
 
 

@@ -18,7 +18,7 @@ from evaluator.sharding import image_ranges
 from server import lifecycle, shards
 from server.blobs import digest_file
 from server.claims import ShardClaim
-from server.errors import ShardLost, Unavailable
+from server.errors import ShardLost, StorageFull, Unavailable
 from server.services import Services
 from worker.attempt import Attempt, beating, cause_of, emptied, end_is_written_elsewhere, patiently
 from worker.messages import (
@@ -210,7 +210,7 @@ class ShardWork:
                 self.lose(*cause_of(status, self.services))
 
     def _beat(self) -> None:
-        """Renew the lease, and what else there is; a database that is away is asked again at the next beat."""
+        """Renew the lease, and what else there is; a database that is away or full is asked again at the next beat."""
         self.beat_also()
         if self.concluded or time.monotonic() - self.last_heartbeat_s < self.services.settings.heartbeat_s:
             return
@@ -218,7 +218,7 @@ class ShardWork:
         try:
             with self.services.transaction() as session:
                 shards.heartbeat(session, self.held)
-        except Unavailable as error:
+        except (Unavailable, StorageFull) as error:
             log.warning("heartbeat_failed", error=repr(error))
 
     def _matched(self) -> None:
