@@ -10,17 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import sqlalchemy as sa
 
 from server import accounts, database
 from server.embedded import listens, process_environment, web_command
+from server.models import Score, ScoreReplicates, Submission, SubmissionState
 from server.services import Services
 from server.settings import Settings
 from tests.services.broker import Broker
 from tests.services.installation import SMALL_CASE, Installation
-from tests.services.processes import Service, free_port
+from tests.services.processes import Service, free_port, wait_until
 
 HOST = "127.0.0.1"
 APPLICATION = "server.web:application"
+IDLE_S = 300.0
+"""All that was sent is worked off within this."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +88,19 @@ class Site:
     def authorization(self) -> str:
         """The header of the team's requests."""
         return f"Bearer {self.token}"
+
+    def wait_until_idle(self) -> None:
+        """Wait until no worker has anything left to do: a score is resampled after its team has it."""
+        wait_until(self._is_idle, timeout_s=IDLE_S, what="the end of all work")
+
+    def _is_idle(self) -> bool:
+        under_way = Submission.state.not_in([state for state in SubmissionState if state.terminal])
+        resampled = sa.exists().where(ScoreReplicates.score_id == Score.id)
+        with self.installation.services.snapshot() as session:
+            return not (
+                session.scalar(sa.select(Submission.id).where(under_way).limit(1))
+                or session.scalar(sa.select(Score.id).where(~resampled).limit(1))
+            )
 
 
 @contextmanager

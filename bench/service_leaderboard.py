@@ -48,10 +48,10 @@ def main() -> int:
         _read(site, 1.0)
         idle, busy = [], []
         for _ in range(args.rounds):
+            site.wait_until_idle()
             idle.append(_read(site, args.seconds))
             with _uploading(site, data, args.uploads):
                 busy.append(_read(site, args.seconds))
-            _settle(site)
     return _show(idle, busy)
 
 
@@ -103,14 +103,6 @@ def _as_over_a_line(data: bytes) -> Iterator[bytes]:
     for at in range(0, len(data), BLOCK_BYTES):
         yield data[at : at + BLOCK_BYTES]
         time.sleep(BLOCK_BYTES / LINE_BYTES_PER_S)
-
-
-def _settle(site: Site) -> None:
-    """Wait until everything that was sent is scored, so that the next stretch is idle."""
-    with site.installation.services.snapshot() as session:
-        waiting = [row.id for row in submissions.list_of_team(session, site.installation.team, limit=100_000)]
-    for submission_id in waiting:
-        site.installation.wait_for(submission_id, SubmissionState.SCORED, timeout_s=120)
 
 
 def _show(idle: list[Load], busy: list[Load]) -> int:

@@ -41,11 +41,15 @@ def main() -> int:
     args = parser.parse_args()
     print(f"{args.images} images, {args.boxes} boxes each; {machine()}")
     with workload(args.images, args.boxes) as work, running_site(case=work.folder, workers=1) as site:
-        data = work.predictions.read_bytes()
         ground_truth = read_ground_truth(work.ground_truth)
-        _bare(work, ground_truth), time_to_scored_s(site, data)  # both are warm now
-        turns = [(_bare(work, ground_truth), time_to_scored_s(site, data)) for _ in range(args.rounds)]
+        _turn(site, work, ground_truth)  # both are warm now
+        turns = [_turn(site, work, ground_truth) for _ in range(args.rounds)]
     return _show(turns)
+
+
+def _turn(site: Site, work: Workload, ground_truth: GroundTruth) -> tuple[float, float]:
+    site.wait_until_idle()
+    return _bare(work, ground_truth), time_to_scored_s(site, work.predictions.read_bytes())
 
 
 def _bare(work: Workload, ground_truth: GroundTruth) -> float:

@@ -38,6 +38,7 @@ def main() -> int:
 
 
 def _scored_in(site: Site, data: bytes, shards: int) -> float:
+    site.wait_until_idle()
     with site.installation.services.transaction() as session:
         phase = benchmarks.find_phase(session, "cs3d", "test")
         benchmarks.set_shards(session, phase, shards, actor="admin:bench")
