@@ -9,6 +9,8 @@ from collections.abc import Iterator
 
 import msgspec
 
+from evaluator.value_ranges import CENTER_LIMIT_M, ROTATION_NORM_RANGE, center_is_valid
+
 Four = tuple[float, float, float, float]
 Three = tuple[float, float, float]
 
@@ -102,5 +104,8 @@ def _object_problems(item: Object) -> Iterator[str]:
         yield "2d: needs the amodal box as [x, y, width, height]"
     if min(item.box_3d.dimensions) <= 0:
         yield f"3d/dimensions: {list(item.box_3d.dimensions)} must all be greater than 0 metres"
-    if not any(item.box_3d.rotation):
-        yield "3d/rotation: the quaternion [w, x, y, z] must not be all zeros"
+    if not center_is_valid(item.box_3d.center):
+        yield f"3d/center: {list(item.box_3d.center)} must lie within {CENTER_LIMIT_M:.0f} metres"
+    length = math.hypot(*item.box_3d.rotation)
+    if not ROTATION_NORM_RANGE[0] <= length <= ROTATION_NORM_RANGE[1]:
+        yield f"3d/rotation: the quaternion [w, x, y, z] has the length {length:g}; it should be 1"
