@@ -8,6 +8,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -55,15 +56,18 @@ def _turns(
 ) -> Iterator[tuple[str, Caller, Any]]:
     """Give one operation after the other to each caller, without end: the turn's name, the caller, the operation.
 
-    For each caller there is an upload and a submission that no other one changed; the submission is scored and
-    published in every other round, and waits in the others.
+    For each caller there is an upload and a published submission that no other one changed. Only what cancels meets a
+    submission that waits for a worker: whoever asked for the state of such a one would be kept waiting, too.
     """
     member = site.token()
     maintainer = site.stranger(email="max@example.org", team="maintainers", is_maintainer=True)
     tokens = {"member": member, "maintainer": maintainer, "nobody": None}
     for number in itertools.count(1):
         for name, token in tokens.items():
-            existing = make_existing(site, member, archive, score if number % 2 else None)
-            caller = Caller(token=token, existing=existing, statuses=statuses)
+            caller = Caller(token=token, existing=make_existing(site, member, archive, score), statuses=statuses)
             for operation in operations(site):
-                yield f"round {number}, {name}, {operation.label}", caller, operation
+                turn = f"round {number}, {name}, {operation.label}"
+                if operation.path.endswith("/cancel"):
+                    yield turn, replace(caller, existing=make_existing(site, member, archive, None)), operation
+                else:
+                    yield turn, caller, operation
