@@ -20,7 +20,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from server import database, leftovers
+from server import database
 from server.errors import NotFound, StorageFull, Unavailable
 from server.models import Blob, Shard
 from server.settings import Settings
@@ -333,8 +333,8 @@ def _missing(sha256: str) -> str:
 def record_blob(session: Session, blobs: Blobs, sha256: str, size_bytes: int) -> None:
     """Make `sha256` known to the record, once its bytes are in the store.
 
-    A new row is checked against the store after it is inserted: `sweep_orphans` holds the table's lock while it
-    deletes, so a blob that was about to be swept is either seen as recorded or found missing here.
+    A new row is checked against the store after it is inserted: server/file_sweeper.py holds the table's lock while
+    it deletes, so a blob that was about to be swept is either seen as recorded or found missing here.
 
     Raises:
         Unavailable: The bytes are not in the store; the caller has to put them again.
@@ -351,39 +351,3 @@ def known_digests(session: Session) -> set[str]:
     """Read the digests that rows keep: those of `Blob` and, while submissions are scored in shards, those of `Shard`."""
     columns = (Blob.sha256, Shard.predictions_sha256, Shard.result_sha256)
     return {sha256 for column in columns for sha256 in session.scalars(sa.select(column)) if sha256}
-
-
-def sweep_orphans(session: Session, blobs: Blobs, *, grace_s: float) -> int:
-    """Delete blobs that no row knows and that nobody put again for `grace_s` seconds.
-
-    Returns:
-        How many were deleted.
-    """
-    deadline = datetime.now(UTC).timestamp() - grace_s  # the store's clock is the only one its times can be held to
-    # Listed before the lock: a large bucket takes its time, and uploads must not wait for it.
-    old = [blob.sha256 for blob in blobs.stored() if blob.modified_at.timestamp() < deadline]
-    if session.get_bind().dialect.name == "postgresql":
-        session.execute(sa.text("LOCK TABLE blob, shard IN SHARE ROW EXCLUSIVE MODE"))
-    known = known_digests(session)
-    orphans = [sha256 for sha256 in old if sha256 not in known]
-    for sha256 in orphans:
-        blobs.delete(sha256)
-    return len(orphans)
-
-
-def sweep_incoming(blobs: Blobs, *, grace_s: float) -> int:
-    """Delete temporary files and folders that nobody wrote to for `grace_s` seconds: what crashes leave behind.
-
-    Returns:
-        How many were deleted.
-    """
-    return leftovers.delete_old(blobs.incoming, grace_s=grace_s)
-
-
-def sweep_cache(blobs: Blobs, *, grace_s: float) -> int:
-    """Delete copies for reading that nobody asked for in `grace_s` seconds; the store still has them.
-
-    Returns:
-        How many were deleted.
-    """
-    return leftovers.delete_old(blobs.cache, grace_s=grace_s) if blobs.cache else 0

@@ -42,13 +42,18 @@ HARD_LIMIT_MARGIN_S = 120
 """From the end of scoring to the worker's hard limit: fetching blobs and recording."""
 
 
+def hard_limit_s(settings: Settings) -> float:
+    """Give the time after which a worker's process is killed, whatever it does: a job may follow on another one."""
+    return settings.score_time_s * 2 + 2 * HARD_LIMIT_MARGIN_S
+
+
 def celery_app(settings: Settings) -> Celery:
     """Make the Celery application that web, worker and scheduler share.
 
     Limits are nested: scoring time < soft limit < hard limit < visibility timeout. Each outer one is only for the
     case that the inner one failed; the lease in the database makes even the outermost harmless.
     """
-    soft_s = settings.score_time_s * 2 + HARD_LIMIT_MARGIN_S
+    hard_s = hard_limit_s(settings)
     app = Celery("cs3d", broker=settings.broker)
     app.conf.update(
         task_default_queue=QUEUE_NAME,
@@ -57,8 +62,8 @@ def celery_app(settings: Settings) -> Celery:
         task_reject_on_worker_lost=True,
         task_acks_on_failure_or_timeout=True,
         worker_prefetch_multiplier=1,
-        task_soft_time_limit=soft_s,
-        task_time_limit=soft_s + HARD_LIMIT_MARGIN_S,
+        task_soft_time_limit=hard_s - HARD_LIMIT_MARGIN_S,
+        task_time_limit=hard_s,
         task_serializer="json",
         accept_content=["json"],
         task_publish_retry=True,
@@ -66,7 +71,7 @@ def celery_app(settings: Settings) -> Celery:
         broker_connection_retry_on_startup=True,
         broker_connection_max_retries=None,
         broker_connection_timeout=settings.broker_timeout_s,
-        broker_transport_options=_transport_options(settings, soft_s + 2 * HARD_LIMIT_MARGIN_S),
+        broker_transport_options=_transport_options(settings, hard_s + HARD_LIMIT_MARGIN_S),
         beat_schedule={
             "sweep": {
                 "task": SWEEP_TASK,

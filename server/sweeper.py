@@ -18,7 +18,7 @@ import sqlalchemy as sa
 import structlog
 from sqlalchemy.orm import Session
 
-from server import blobs, database, lifecycle, mail, resampling, rescoring_sweeper
+from server import database, file_sweeper, lifecycle, mail, resampling, rescoring_sweeper
 from server.models import Submission, SubmissionState
 from server.queue import PRIORITY_NORMAL, PRIORITY_URGENT
 from server.services import Services
@@ -120,9 +120,4 @@ def sweep_files(services: Services) -> int:
         How many files were deleted.
     """
     grace_s = services.settings.orphan_grace_s
-    with services.transaction() as session:
-        orphans = blobs.sweep_orphans(session, services.blobs, grace_s=grace_s)
-    incoming = blobs.sweep_incoming(services.blobs, grace_s=grace_s)
-    # The ground truth's copy is opened only once the predictions are validated: it must outlive any attempt.
-    copies = blobs.sweep_cache(services.blobs, grace_s=max(grace_s, 3 * services.settings.score_time_s))
-    return orphans + incoming + copies
+    return file_sweeper.sweep_orphans(services, grace_s=grace_s) + file_sweeper.sweep_local(services)

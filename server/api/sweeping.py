@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager, suppress
 import structlog
 from starlette.concurrency import run_in_threadpool
 
-from server import blobs, leftovers, uploads
+from server import file_sweeper, leftovers, uploads
 from server.services import Services
 
 log = structlog.get_logger(__name__)
@@ -47,10 +47,8 @@ def sweep_files(services: Services) -> int:
         How many files were deleted.
     """
     settings = services.settings
-    grace_s = settings.orphan_grace_s
-    incoming = blobs.sweep_incoming(services.blobs, grace_s=grace_s)
-    copies = blobs.sweep_cache(services.blobs, grace_s=max(grace_s, 3 * settings.score_time_s))
-    charts = leftovers.delete_old(settings.data_dir / "charts", grace_s=grace_s, pattern="*.part")
+    local = file_sweeper.sweep_local(services)
+    charts = leftovers.delete_old(settings.data_dir / "charts", grace_s=settings.orphan_grace_s, pattern="*.part")
     with services.transaction() as session:
         parts = uploads.sweep(session, uploads.folder_of(settings.data_dir))
-    return incoming + copies + charts + parts
+    return local + charts + parts

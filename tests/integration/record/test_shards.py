@@ -7,7 +7,7 @@ import msgspec
 import pytest
 import sqlalchemy as sa
 
-from server import blobs, database, shards
+from server import database, file_sweeper, shards
 from server.checker import check
 from server.models import AttemptOutcome, Shard, Submission, SubmissionState
 from tests.faults import points
@@ -228,12 +228,10 @@ def test_progress_is_the_sum_over_shards(sharded: Installation, sandbox: Watched
 
 def test_blobs_of_shards_are_kept_while_they_are_needed(sharded: Installation, sandbox: WatchedSandbox) -> None:
     """The sweeper spares what a shard's row keeps, and deletes it once the submission is scored."""
-    store = sharded.services.blobs
     swept: list[int] = []
 
     def sweep() -> None:
-        with sharded.services.transaction() as session:
-            swept.append(blobs.sweep_orphans(session, store, grace_s=-60))
+        swept.append(file_sweeper.sweep_orphans(sharded.services, grace_s=-60))
 
     def before(job: AnyJob) -> AnyJob:
         sweep()
