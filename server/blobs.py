@@ -9,7 +9,7 @@ import hashlib
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -347,7 +347,13 @@ def record_blob(session: Session, blobs: Blobs, sha256: str, size_bytes: int) ->
         raise Unavailable(message)
 
 
-def known_digests(session: Session) -> set[str]:
-    """Read the digests that rows keep: those of `Blob` and, while submissions are scored in shards, those of `Shard`."""
+def known_digests(session: Session, among: Sequence[str] | None = None) -> set[str]:
+    """Read the digests that rows keep: those of `Blob` and, while submissions are scored in shards, those of `Shard`.
+
+    Args:
+        session: Of the transaction.
+        among: Only those of these; None: all.
+    """
     columns = (Blob.sha256, Shard.predictions_sha256, Shard.result_sha256)
-    return {sha256 for column in columns for sha256 in session.scalars(sa.select(column)) if sha256}
+    chosen = (sa.select(one) if among is None else sa.select(one).where(one.in_(among)) for one in columns)
+    return {sha256 for query in chosen for sha256 in session.scalars(query) if sha256}

@@ -13,6 +13,9 @@ from server.blobs import known_digests
 from server.queue import hard_limit_s
 from server.services import Services
 
+BATCH = 50
+"""Blobs deleted under one lock: so many calls to the store are the most that an upload waits for."""
+
 
 def sweep_orphans(services: Services, *, grace_s: float) -> int:
     """Delete blobs that no row knows and that nobody put again for `grace_s` seconds.
@@ -21,17 +24,21 @@ def sweep_orphans(services: Services, *, grace_s: float) -> int:
         How many were deleted.
     """
     deadline = datetime.now(UTC).timestamp() - grace_s  # the store's clock is the only one its times can be held to
+    with services.snapshot() as session:
+        known = known_digests(session)
     # Listed without a lock: a large bucket takes its time, and uploads must not wait for it.
     old = (blob.sha256 for blob in services.blobs.stored() if blob.modified_at.timestamp() < deadline)
-    return _delete(services, list(old))
+    orphans = [sha256 for sha256 in old if sha256 not in known]
+    batches = (orphans[first : first + BATCH] for first in range(0, len(orphans), BATCH))
+    return sum(_delete(services, batch) for batch in batches)
 
 
-def _delete(services: Services, old: Sequence[str]) -> int:
-    """Delete those without a row; none gets one meanwhile (`server.blobs.record_blob`)."""
+def _delete(services: Services, batch: Sequence[str]) -> int:
+    """Delete those that are still without a row; none gets one meanwhile (`server.blobs.record_blob`)."""
     with services.transaction() as session:
         if session.get_bind().dialect.name == "postgresql":
             session.execute(sa.text("LOCK TABLE blob, shard IN SHARE ROW EXCLUSIVE MODE"))
-        orphans = set(old) - known_digests(session)
+        orphans = set(batch) - known_digests(session, batch)
         for sha256 in orphans:
             services.blobs.delete(sha256)
     return len(orphans)
