@@ -8,13 +8,14 @@ re-scoring prepares another beside it (server/rescoring.py).
 """
 
 import uuid
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import sqlalchemy as sa
 from sqlalchemy.orm import Session, defer, joinedload, object_session
+from sqlalchemy.sql.base import ExecutableOption
 
 from evaluator.results import Scores
 from server.models import (
@@ -65,8 +66,11 @@ class LeaderboardRow:
     team: Team
     score: Score
     mds: float | None
-    summary: dict[str, Any]
-    """`summary_of` its scores."""
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """`summary_of` its scores."""
+        return self.score.summary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +86,11 @@ def leaderboard(session: Session, phase: Phase) -> Leaderboard:
     return Leaderboard(phase=phase, rows=ranked(ranking_scores(session, phase).values()))
 
 
+def leaders(session: Session, phase: Phase, most: int) -> tuple[LeaderboardRow, ...]:
+    """Give the first rows of a phase's leaderboard; summaries, which are large, are not read."""
+    return ranked(ranking_scores(session, phase, summaries=False).values())[:most]
+
+
 def ranked(scores: Iterable[Score]) -> tuple[LeaderboardRow, ...]:
     """Rank scores, one of each submission."""
     ordered = sorted(scores, key=_display_order)
@@ -94,13 +103,12 @@ def ranked(scores: Iterable[Score]) -> tuple[LeaderboardRow, ...]:
             team=score.submission.team,
             score=score,
             mds=score.mds,
-            summary=score.summary,
         )
         for rank, score in zip(ranks, ordered, strict=True)
     )
 
 
-def ranking_scores(session: Session, phase: Phase) -> dict[uuid.UUID, Score]:
+def ranking_scores(session: Session, phase: Phase, *, summaries: bool = True) -> dict[uuid.UUID, Score]:
     """Find the score that ranks for every published submission.
 
     That is the one on the basis in force; where the evaluator version in force made none, the newest by another that
@@ -108,11 +116,16 @@ def ranking_scores(session: Session, phase: Phase) -> dict[uuid.UUID, Score]:
     """
     basis = Basis.of(phase)
     in_force = sa.case((Score.evaluator_version == basis.evaluator_version, 1), else_=0)
-    return published_scores(session, phase, sa.and_(basis.may_rank(), was_in_force()), in_force, Score.id)
+    condition = sa.and_(basis.may_rank(), was_in_force())
+    return published_scores(session, phase, condition, in_force, Score.id, summaries=summaries)
 
 
 def published_scores(
-    session: Session, phase: Phase, condition: sa.ColumnElement[bool], *order: sa.SQLColumnExpression[Any]
+    session: Session,
+    phase: Phase,
+    condition: sa.ColumnElement[bool],
+    *order: sa.SQLColumnExpression[Any],
+    summaries: bool = True,
 ) -> dict[uuid.UUID, Score]:
     """Find the last score, in the given order, of every published submission that has one under a condition."""
     query = (
@@ -127,7 +140,7 @@ def published_scores(
         .options(
             joinedload(Score.submission).joinedload(Submission.method),
             joinedload(Score.submission).joinedload(Submission.team),
-            defer(Score.integrity),
+            *_light(summaries=summaries),
         )
         .order_by(*order)
     )
@@ -137,12 +150,35 @@ def published_scores(
 def ranking_score(submission: Submission) -> Score | None:
     """Find the score a submission is shown with: the one that ranks, else the newest that was ever in force."""
     basis = Basis.of(submission.phase)
+    return max(history(submission), key=lambda score: _preference(score, basis), default=None)
 
-    def preference(score: Score) -> tuple[bool, bool, int]:
-        may_rank = (score.protocol, score.ground_truth_id) == (basis.protocol, basis.ground_truth_id)
-        return may_rank, may_rank and score.evaluator_version == basis.evaluator_version, score.id
 
-    return max(history(submission), key=preference, default=None)
+def shown_scores(
+    session: Session, submissions: Collection[Submission], *, summaries: bool = False
+) -> dict[uuid.UUID, Score]:
+    """Find the `ranking_score` of every submission that has one, by one query however many there are.
+
+    Args:
+        session: Where the submissions are from.
+        submissions: With their phases.
+        summaries: Read them, too; each is about 24 kB.
+    """
+    bases = {submission.id: Basis.of(submission.phase) for submission in submissions}
+    query = sa.select(Score).where(Score.submission_id.in_(bases), was_in_force())
+    found = session.scalars(query.options(*_light(summaries=summaries)))
+    ordered = sorted(found, key=lambda score: _preference(score, bases[score.submission_id]))
+    return {score.submission_id: score for score in ordered}
+
+
+def _light(*, summaries: bool) -> list[ExecutableOption]:
+    """Leave out what lists do not show."""
+    return [defer(Score.integrity), *([] if summaries else [defer(Score.summary)])]
+
+
+def _preference(score: Score, basis: Basis) -> tuple[bool, bool, int]:
+    """Order the scores of a submission, the one it is shown with last."""
+    may_rank = (score.protocol, score.ground_truth_id) == (basis.protocol, basis.ground_truth_id)
+    return may_rank, may_rank and score.evaluator_version == basis.evaluator_version, score.id
 
 
 def history(submission: Submission) -> list[Score]:

@@ -175,9 +175,12 @@ def _unknown(submission_id: uuid.UUID | str) -> str:
 def owned_by(submission: Submission, user: User | None) -> bool:
     """Say whether the user may act for the submission: a member of its team or a maintainer."""
     session = object_session(submission)
-    if user is None or session is None:
-        return False
-    return user.is_maintainer or is_member(session, team_id=submission.team_id, user_id=user.id)
+    return session is not None and acts_for(session, submission.team_id, user)
+
+
+def acts_for(session: Session, team_id: int, user: User | None) -> bool:
+    """Say whether the user may act for a team: a member of it or a maintainer."""
+    return user is not None and (user.is_maintainer or is_member(session, team_id=team_id, user_id=user.id))
 
 
 def visible_to(submission: Submission, user: User | None) -> bool:
@@ -185,20 +188,22 @@ def visible_to(submission: Submission, user: User | None) -> bool:
     return submission.publication is Publication.PUBLISHED or owned_by(submission, user)
 
 
-def list_of_team(
-    session: Session, team: Team, *, phase: Phase | None = None, limit: int = 100, offset: int = 0
+def latest(
+    session: Session, *conditions: sa.ColumnElement[bool], limit: int = 100, offset: int = 0
 ) -> list[Submission]:
-    """List a team's submissions, newest first."""
+    """List the submissions that meet all conditions, newest first, with what a list shows but their scores."""
     query = (
         sa.select(Submission)
-        .where(Submission.team_id == team.id)
-        .options(joinedload(Submission.phase).joinedload(Phase.benchmark), joinedload(Submission.method))
+        .where(*conditions)
+        .options(
+            joinedload(Submission.phase).joinedload(Phase.benchmark),
+            joinedload(Submission.method),
+            joinedload(Submission.team),
+        )
         .order_by(Submission.created_at.desc(), Submission.id)
         .limit(limit)
         .offset(offset)
     )
-    if phase is not None:
-        query = query.where(Submission.phase_id == phase.id)
     return list(session.scalars(query))
 
 

@@ -3,7 +3,7 @@
 import uuid
 
 import msgspec
-from sqlalchemy.orm import object_session
+from sqlalchemy.orm import Session, object_session
 
 from evaluator.integrity import IntegrityAudit
 from evaluator.protocol import Signature
@@ -13,7 +13,7 @@ from server.api import documents
 from server.blobs import Blobs
 from server.errors import NotFound, NotScored
 from server.models import Benchmark, Blob, Phase, Score, Submission, SubmissionState
-from server.ranking import Leaderboard, LeaderboardRow, history, ranking_score
+from server.ranking import Leaderboard, LeaderboardRow, history, ranking_score, shown_scores
 from server.standings import Standing
 
 
@@ -57,9 +57,13 @@ def submission_document(submission: Submission, blobs: Blobs, *, owned: bool) ->
     )
 
 
-def submission_summary(submission: Submission) -> documents.SubmissionSummary:
-    """Describe a submission in one line."""
-    shown = ranking_score(submission) if submission.state is SubmissionState.SCORED else None
+def submission_list(session: Session, submissions: list[Submission]) -> documents.SubmissionList:
+    """Describe submissions, each in one line."""
+    scores = shown_scores(session, submissions)
+    return documents.SubmissionList(submissions=[_summary(one, scores.get(one.id)) for one in submissions])
+
+
+def _summary(submission: Submission, shown: Score | None) -> documents.SubmissionSummary:
     return documents.SubmissionSummary(
         id=str(submission.id),
         benchmark=submission.phase.benchmark.slug,
@@ -99,18 +103,10 @@ def scores_of(submission: Submission, blobs: Blobs, score_id: int | None = None)
     if score is None:
         raise NotScored(f"submission {submission.id} is {submission.state.value}; it has no scores")
     if score_id is not None:
-        score = next((one for one in shown_scores(submission) if one.id == score_id), None)
+        score = next((one for one in history(submission) if one.id == score_id), None)
     if score is None:
         raise NotFound(f"submission {submission.id} has no score {score_id}; its results list them as `history`")
     return msgspec.json.decode(blobs.read(score.scores_sha256), type=Scores)
-
-
-def shown_scores(submission: Submission) -> list[Score]:
-    """List every score of a submission that anybody is shown, oldest first."""
-    shown = {score.id: score for score in history(submission)}
-    if (score := ranking_score(submission)) is not None:
-        shown[score.id] = score
-    return [shown[key] for key in sorted(shown)]
 
 
 def history_of(submission: Submission) -> list[documents.ScoreEntry]:
@@ -125,7 +121,7 @@ def history_of(submission: Submission) -> list[documents.ScoreEntry]:
             created_at=score.created_at,
             ranks=score is ranking and (score.protocol, score.ground_truth_id) == in_force,
         )
-        for score in shown_scores(submission)
+        for score in history(submission)
     ]
 
 

@@ -3,6 +3,7 @@
 import re
 from typing import Annotated, Any
 
+import sqlalchemy as sa
 from fastapi import APIRouter, Query
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
@@ -39,6 +40,7 @@ from server.errors import (
     TooManyRejections,
     Unavailable,
 )
+from server.models import Submission
 
 router = APIRouter(prefix="/submissions", tags=["submissions"])
 
@@ -278,7 +280,7 @@ def list_submissions(
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
     offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
 ) -> Response:
-    """List what the token's team, or the user's teams, sent."""
+    """List what the token's team, or all of the user's teams together, sent."""
 
     def work(session: Session, identity: Identity | None) -> Response:
         if identity is None:
@@ -289,11 +291,9 @@ def list_submissions(
                 raise ValidationFailed((InvalidValue("query", "give benchmark and phase together"),))
             chosen = benchmarks.find_phase(session, benchmark, phase)
         teams = [identity.team] if identity.team else accounts.teams_of(session, identity.user)
-        rows = [
-            row
-            for team in teams
-            for row in submissions.list_of_team(session, team, phase=chosen, limit=limit, offset=offset)
-        ]
-        return json_response(documents.SubmissionList(submissions=[rendering.submission_summary(row) for row in rows]))
+        of_teams = Submission.team_id.in_([team.id for team in teams])
+        in_phase = Submission.phase_id == chosen.id if chosen is not None else sa.true()
+        rows = submissions.latest(session, of_teams, in_phase, limit=limit, offset=offset)
+        return json_response(rendering.submission_list(session, rows))
 
     return read(web, asker, work)

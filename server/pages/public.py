@@ -2,17 +2,18 @@
 
 from fastapi import APIRouter
 from sqlalchemy import select
-from sqlalchemy.orm import Session, joinedload
+from sqlalchemy.orm import Session
 from starlette.responses import RedirectResponse, Response
 
 from evaluator.protocol import PROTOCOLS
 from server import benchmarks, ranking, submissions
 from server.api.problems import all_errors
 from server.errors import NotFound
-from server.models import Method, Phase, Submission, SubmissionState, Team, User
+from server.models import Method, Publication, Submission, Team, User
 from server.pages import tables
+from server.pages.paging import Page, page_of
 from server.pages.rendering import Context
-from server.pages.visits import VisitDependency
+from server.pages.visits import Visit, VisitDependency
 
 router = APIRouter(include_in_schema=False)
 
@@ -28,7 +29,7 @@ def home(visit: VisitDependency) -> Response:
         del user
         listed = benchmarks.list_benchmarks(session)
         phases = [phase for benchmark in listed for phase in benchmark.phases]
-        leaders = {phase.id: ranking.leaderboard(session, phase).rows[:SHOWN_AT_HOME] for phase in phases}
+        leaders = {phase.id: ranking.leaders(session, phase, SHOWN_AT_HOME) for phase in phases}
         return {"benchmarks": listed, "leaders": leaders}
 
     return visit.show("home.html", work)
@@ -97,13 +98,12 @@ def method_page(team: str, method: str, visit: VisitDependency) -> Response:
 
     def work(session: Session, user: User | None) -> Context:
         found = session.scalar(select(Method).join(Team).where(Team.slug == team, Method.slug == method))
-        rows = _submissions_of(session, found) if found else []
-        shown = [row for row in rows if submissions.visible_to(row, user)]
+        page = _page_of_method(session, visit, found, user) if found else None
         # A method nobody may see a submission of is as unknown as one that does not exist.
-        if found is None or not shown:
-            raise NotFound(f"there is no method {method[:64]!r} of team {team[:64]!r}")
-        scores = {row.id: ranking.ranking_score(row) for row in shown if row.state is SubmissionState.SCORED}
-        return {"method": found, "submissions": shown, "scores": scores, "tables": tables}
+        if page is None or not page.rows:
+            raise NotFound(f"there is no method {method[:64]!r} of team {team[:64]!r}, or it has no such page")
+        scores = ranking.shown_scores(session, page.rows, summaries=True)
+        return {"method": found, "page": page, "scores": scores, "tables": tables}
 
     return visit.show("method.html", work)
 
@@ -118,11 +118,9 @@ def problem_list(visit: VisitDependency, code: str = "") -> Response:
     return visit.show("problems.html", lambda *_: {"problems": known, "chosen": code})
 
 
-def _submissions_of(session: Session, method: Method) -> list[Submission]:
-    query = (
-        select(Submission)
-        .where(Submission.method_id == method.id)
-        .options(joinedload(Submission.phase).joinedload(Phase.benchmark))
-        .order_by(Submission.created_at.desc())
-    )
-    return list(session.scalars(query))
+def _page_of_method(session: Session, visit: Visit, method: Method, user: User | None) -> Page:
+    """Read a page of those submissions of a method that the visitor may see (`submissions.visible_to`)."""
+    conditions = [Submission.method_id == method.id]
+    if not submissions.acts_for(session, method.team_id, user):
+        conditions.append(Submission.publication == Publication.PUBLISHED)
+    return page_of(session, visit.request.query_params, *conditions)

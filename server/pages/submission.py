@@ -1,6 +1,5 @@
 """The page of one submission, the list of a user's submissions, and what their owners may do."""
 
-import re
 from dataclasses import dataclass
 
 from fastapi import APIRouter
@@ -17,12 +16,11 @@ from server.charts import Chart
 from server.errors import Forbidden
 from server.models import AuditEvent, Submission, SubmissionState, User
 from server.pages import tables
+from server.pages.paging import page_of
 from server.pages.rendering import Context
 from server.pages.visits import FieldsDependency, VisitDependency
 
 router = APIRouter(include_in_schema=False)
-
-PER_PAGE = 50
 
 _WAY = (SubmissionState.RECEIVED, SubmissionState.QUEUED, SubmissionState.SCORING, SubmissionState.SCORED)
 _EXPLAINED = {
@@ -54,31 +52,14 @@ def submission_list(visit: VisitDependency) -> Response:
     """List what the user's teams sent."""
 
     def work(session: Session, user: User) -> Context:
-        page = _page_of(visit.request.query_params.get("page", "1"))
-        skipped = (page - 1) * PER_PAGE
         teams = accounts.teams_of(session, user)
-        listed = {
-            team.slug: submissions.list_of_team(session, team, limit=PER_PAGE + 1, offset=skipped) for team in teams
+        pages = {
+            team.slug: page_of(session, visit.request.query_params, Submission.team_id == team.id) for team in teams
         }
-        return {
-            "teams": teams,
-            "listed": {slug: rows[:PER_PAGE] for slug, rows in listed.items()},
-            "scores": {
-                row.id: ranking.ranking_score(row)
-                for rows in listed.values()
-                for row in rows
-                if row.state is SubmissionState.SCORED
-            },
-            "page": page,
-            "more": any(len(rows) > PER_PAGE for rows in listed.values()),
-        }
+        shown = [row for page in pages.values() for row in page.rows]
+        return {"teams": teams, "pages": pages, "scores": ranking.shown_scores(session, shown)}
 
     return visit.show_own("submissions.html", work)
-
-
-def _page_of(text: str) -> int:
-    """Read a page's number; whatever is none shows the first."""
-    return max(1, int(text)) if re.fullmatch(r"[0-9]{1,9}", text) else 1
 
 
 @router.get("/submissions/{submission_id}")

@@ -26,9 +26,7 @@ INTERVAL = Interval(estimate=0.5, lower=0.4, upper=0.6)
 
 def _row(mds: float | None) -> LeaderboardRow:
     submission = Submission(id=uuid.uuid4(), created_at=datetime(2026, 1, 1, tzinfo=UTC))
-    return LeaderboardRow(
-        rank=None, submission=submission, method=Method(), team=Team(), score=Score(), mds=mds, summary={}
-    )
+    return LeaderboardRow(rank=None, submission=submission, method=Method(), team=Team(), score=Score(), mds=mds)
 
 
 def _replicates(*halves: float) -> ScoreReplicates:
