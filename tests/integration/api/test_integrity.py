@@ -1,11 +1,19 @@
 """Scores that need a maintainer's look: held, explained to their team, released."""
 
+import io
+import json
+import zipfile
 from collections.abc import Callable
 
 import sqlalchemy as sa
 
+from server import benchmarks
 from server.models import AuditEvent, Submission
 from tests.integration.site import Site, send
+from tests.services.installation import ORACLE, zip_of
+
+IGNORE_CASE = ORACLE / "ignore_regions"
+"""One image, whose false positives have modal boxes in its ignore regions, where they do not count."""
 
 
 def scored(site: Site, token: str, archive: bytes, score: Callable[[str], None]) -> str:
@@ -35,6 +43,44 @@ def test_a_copy_of_another_teams_predictions_is_held(site: Site, archive: bytes,
         first = session.scalars(sa.select(Submission).order_by(Submission.created_at)).first()
         assert first is not None
         assert held.detail["resembles"] == str(first.id)
+
+
+def test_modal_boxes_hidden_in_ignore_regions_are_held(site: Site, score: Callable[[str], None]) -> None:
+    """The team is told the reason and cannot publish; the same boxes without those modal boxes pass."""
+    with site.services.transaction() as session:
+        phase = benchmarks.find_phase(session, "cs3d", "test")
+        benchmarks.import_ground_truth(
+            session, site.services.blobs, phase=phase, source=IGNORE_CASE / "gt", actor="admin:test"
+        )
+    token = site.token()
+    hidden = scored(site, token, zip_of(IGNORE_CASE / "pred"), score)
+    honest = scored(site, token, _without_modal_boxes(), score)
+    # The oracle's mDS is 0.9333. With projected modal boxes the false positives count, which leaves 0.7381.
+    reason = "The submitted modal boxes raise the mDS by 0.1952 through ignore regions."
+    with site.client(token) as client:
+        document = client.get(hidden).json()
+        assert (document["state"], document["held"]) == ("scored", reason)
+        assert client.get(f"{hidden}/integrity").json()["reasons"] == [reason]
+        refused = client.post(f"{hidden}/publication", json={"publication": "published"})
+        assert (refused.status_code, refused.json()["code"]) == (409, "held_for_review")
+        assert client.get(honest).json()["held"] is None
+        published = client.post(f"{honest}/publication", json={"publication": "published"})
+        assert published.json()["publication"] == "published"
+    with site.services.snapshot() as session:
+        held = session.scalars(sa.select(AuditEvent).where(AuditEvent.action == "submission.held")).one()
+        assert held.detail["reason"] == reason
+
+
+def _without_modal_boxes() -> bytes:
+    """Pack the case's predictions without modal boxes: then the amodal ones are tested."""
+    (path,) = (IGNORE_CASE / "pred").iterdir()
+    document = json.loads(path.read_bytes())
+    for box in document["objects"]:
+        del box["2d"]["modal"]
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as packed:
+        packed.writestr(path.name, json.dumps(document))
+    return buffer.getvalue()
 
 
 def test_a_maintainer_releases_what_is_held(site: Site, archive: bytes, score: Callable[[str], None]) -> None:
