@@ -2,12 +2,14 @@
 
 Follows `loadPredictions` in evaluation/evalObjectDetection3d.py and `fromJsonText` in helpers/annotation.py of
 `cityscapesscripts` 2.3.0, and says in notes what they pass over in silence. Where the reference crashes (a box whose
-centre is text, a broken file that belongs to no image) the box or file is skipped; where a file that is needed cannot
-be read at all it is an error here, too.
+centre is text or infinite, a broken file that belongs to no image) or computes NaN the box or file is skipped; where a
+file that is needed cannot be read at all it is an error here, too.
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,8 @@ NO_LIMITS = Limits(
     boxes_per_image=2**31,
 )
 _RESULTS_FILE = "results.json"
+_FARTHEST_M = 2.0**63
+"""The reference's depths are integers of 64 bits."""
 _WIDTHS = {"center_m": 3, "dimensions_m": 3, "rotation": 4, "amodal_px": 4, "modal_px": 4}
 
 
@@ -137,14 +141,21 @@ class LenientReading:
 def _read_box(box: Any) -> dict[str, Any]:  # noqa: ANN401 -- any JSON value; a wrong one raises
     """Read one box, raising KeyError, TypeError, ValueError or AttributeError where the reference fails on it."""
     amodal, modal = _rectangles(box["2d"])
-    return {
-        "score": _score(box["score"]),
-        "center_m": _numbers(box["3d"]["center"], 3),
-        "dimensions_m": _numbers(box["3d"]["dimensions"][:3], 3),
-        "rotation": _numbers([float(value) for value in box["3d"]["rotation"]], 4),
-        "amodal_px": amodal,
-        "modal_px": modal,
+    return {"score": _score(box["score"]), **_space(box["3d"]), "amodal_px": amodal, "modal_px": modal}
+
+
+def _space(fields: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Read the 3D box; the reference crashes on most of those that are not finite or too far away."""
+    box = {
+        "center_m": _numbers(fields["center"], 3),
+        "dimensions_m": _numbers(fields["dimensions"][:3], 3),
+        "rotation": _numbers([float(value) for value in fields["rotation"]], 4),
     }
+    if not all(map(math.isfinite, chain.from_iterable(box.values()))):
+        raise ValueError("center, dimensions and rotation must be finite")
+    if math.hypot(*box["center_m"]) >= _FARTHEST_M:
+        raise ValueError("center is too far away")
+    return box
 
 
 def _rectangles(fields: Mapping[str, Any]) -> tuple[list[float], list[float]]:

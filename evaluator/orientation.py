@@ -16,15 +16,16 @@ def unit_quaternions(rotation: Float64Array) -> Float64Array:
     """Scale quaternions to length 1.
 
     Args:
-        rotation: (N, 4) quaternions w, x, y, z, none of them all zeros.
+        rotation: (N, 4) quaternions w, x, y, z.
 
     Returns:
-        (4, N) unit quaternions, one row for each of w, x, y, z. q, -q and k q describe the same rotation.
+        (4, N) unit quaternions, one row for each of w, x, y, z. q, -q and k q describe the same rotation. Zeros stay
+        zeros (`Quaternion._normalise`), which makes a point of a box, and angles of 0.
     """
     columns = np.ascontiguousarray(rotation.T)
     w, x, y, z = columns
     squared = w * w + x * x + y * y + z * z
-    length = np.where(np.abs(1.0 - squared) < UNIT_TOLERANCE, 1.0, np.sqrt(squared))
+    length = np.where((np.abs(1.0 - squared) < UNIT_TOLERANCE) | (squared == 0.0), 1.0, np.sqrt(squared))
     return np.asarray(columns / length)
 
 
@@ -32,7 +33,7 @@ def rotation_matrices(rotation: Float64Array) -> Float64Array:
     """Turn quaternions into rotation matrices (`Quaternion.rotation_matrix`).
 
     Args:
-        rotation: (N, 4) quaternions w, x, y, z of any length but 0.
+        rotation: (N, 4) quaternions w, x, y, z of any length.
 
     Returns:
         (3, 3, N) matrices from the box frame to the vehicle frame.
@@ -53,7 +54,7 @@ def yaw_pitch_roll_rad(rotation: Float64Array) -> Float64Array:
     A pitch of 90 degrees, where rounding takes the sine above 1, is pitch 90 degrees; the reference gives NaN.
 
     Args:
-        rotation: (N, 4) quaternions w, x, y, z of any length but 0.
+        rotation: (N, 4) quaternions w, x, y, z of any length.
 
     Returns:
         (3, N) yaw in [-pi, pi], pitch in [-pi/2, pi/2], roll in [-pi, pi].

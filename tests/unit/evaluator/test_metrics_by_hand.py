@@ -48,11 +48,15 @@ def test_a_fixed_working_point_goes_up_to_the_next_threshold(fixed: float, index
 
 
 def test_depth_is_on_the_ground_and_rounded_down() -> None:
-    """(3, 4) is 5 m away at any height, (0, 9.99) 9 m; bins begin at their lower edge and end before 100 m."""
+    """(3, 4) is 5 m away at any height, (0, 9.99) 9 m; bins begin at their lower edge and end before 100 m.
+
+    What is too far away for an integer of 64 bits (2^63 is 9.2e18) lies beyond the last bin like all that is far.
+    """
     center = np.array([[3.0, 4, 50], [0, 9.99, 0], [100, 0, 0], [99.99, 0, 0]])
 
     assert depth_m(center).tolist() == [5, 9, 100, 99]
     assert depth_bin_index(center, CITYSCAPES3D).tolist() == [1, 1, 20, 19]
+    assert depth_bin_index(np.array([[1e30, 0, 0], [np.inf, 0, 0]]), CITYSCAPES3D).tolist() == [20, 20]
 
 
 def test_center_similarity_falls_linearly_to_the_maximum_depth() -> None:

@@ -4,11 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from evaluator.cityscapes_format import cityscapes_results
 from evaluator.evaluation import evaluate
 from evaluator.ground_truth import read_ground_truth
 from evaluator.intake import Intake, read_predictions, read_predictions_leniently
+from evaluator.protocol import CITYSCAPES3D, PAPER, Protocol
 from tests.data.corpus_archives import IMAGES, PAIR
 from tests.data.corpus_predictions import box, document
 from tests.data.corpus_zip import write_zip
@@ -107,6 +109,30 @@ def test_everything_the_reference_passes_over_is_named(ground_truth: Path) -> No
 
 
 @pytest.mark.parametrize(
+    "broken",
+    [
+        box(center="[NaN, 0, 0]"),
+        box(center="[0, -Infinity, 0]"),
+        box(center="[1e30, 0, 0]"),
+        box(dimensions="[NaN, 1, 1]"),
+        box(rotation="[Infinity, 0, 0, 0]"),
+    ],
+)
+@pytest.mark.parametrize("protocol", [CITYSCAPES3D, replace(CITYSCAPES3D, modal=True), PAPER], ids=str)
+def test_boxes_that_cannot_be_calculated_with_are_skipped(ground_truth: Path, broken: str, protocol: Protocol) -> None:
+    """Beside such a box every score is what it is without it, under every protocol, and a note counts it."""
+    truth = read_ground_truth(ground_truth)
+    scores = []
+    for boxes in ([box()], [box(), broken]):
+        intake = _read(ground_truth, {f"{name}_pred.json": document(*boxes) for name in IMAGES})
+        assert intake.predictions is not None
+        scores.append(evaluate(truth, intake.predictions, protocol).scores)
+
+    assert _codes(intake) == {"lenient_skipped_object": len(IMAGES)}
+    assert scores[0] == scores[1]
+
+
+@pytest.mark.parametrize(
     ("text", "code"),
     [
         (b"{", "invalid_json"),
@@ -160,6 +186,7 @@ SLOPPY = {
         box(score="NaN"),
         box(label='"Car"'),
         box(label="null"),
+        box(rotation="[0, 0, 0, 0]", modal="[822, 476, 251, 205]"),
         box(modal='[1, 2, 3, 4], "bbox": [1, 2, 3, 4], "bboxVis": [900, 400, 5, 5, 7]'),
         box(amodal='"none"', modal="[900, 400, 5, 5]"),
         box(more=', "score": 0.25'),
@@ -173,18 +200,20 @@ SLOPPY = {
 }
 
 
-def test_numbers_on_sloppy_input_equal_the_reference(ground_truth: Path) -> None:
+@pytest.mark.parametrize("modal", [False, True])
+def test_numbers_on_sloppy_input_equal_the_reference(ground_truth: Path, modal: bool) -> None:  # noqa: FBT001 -- a case
     """On input that only the lenient reading takes, every number of the reference's results is reproduced."""
     python = required_reference()
     intake = _read(ground_truth, SLOPPY)
     assert intake.predictions is not None
-    ours = cityscapes_results(evaluate(read_ground_truth(ground_truth), intake.predictions).scores)
+    protocol = replace(CITYSCAPES3D, modal=modal)
+    ours = cityscapes_results(evaluate(read_ground_truth(ground_truth), intake.predictions, protocol).scores)
     parameters = {
         "labels": ["car", "truck", "bus", "train", "motorcycle", "bicycle"],
         "min_iou": 0.7,
         "max_depth": 100,
         "step_size": 5,
-        "modal": False,
+        "modal": modal,
         "cw": -1.0,
     }
     case = {"gt": str(ground_truth), "pred": str(ground_truth.parent / "pred"), "parameters": parameters}
