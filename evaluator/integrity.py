@@ -19,6 +19,7 @@ from evaluator.protocol import Protocol, Signature
 from evaluator.results import Scores
 from evaluator.statistics import Statistics, collect
 from evaluator.thresholds import share_below_lowest_threshold
+from evaluator.true_positive_metrics import SIMILARITIES
 
 MODAL_GAP_LIMIT = 0.01
 """mDS: honest modal boxes change far less, and placing all of them in an ignore region gains five times as much."""
@@ -27,6 +28,8 @@ PLAUSIBLE_BOXES_PER_IMAGE = 300
 DUPLICATE_SHARE_LIMIT = 0.2
 SIMILARITY_LIMIT = 0.5
 """Of two fingerprints; above it the submissions are nearly identical."""
+_QUARTER_CIRCLE = 0.5
+"""The yaw similarity of two headings at a right angle."""
 
 
 Variant = Literal["official", "projected_modal", "amodal", "evenly_spread"]
@@ -70,6 +73,11 @@ class IntegrityAudit(msgspec.Struct, frozen=True, kw_only=True):
     most_boxes_in_image: int
     images_with_many_boxes: int
     """Images with more boxes than `PLAUSIBLE_BOXES_PER_IMAGE`."""
+    share_facing_backwards: float | None = None
+    """Of the matched boxes those whose yaw is off by more than a quarter circle, in [0, 1]; None without matches.
+
+    Without ground truth a yaw that is off by half a circle everywhere can hardly be told (`evaluator/doctor/`).
+    """
     fingerprint: str
     """See `evaluator/fingerprint.py`."""
 
@@ -135,6 +143,7 @@ def audit_variants(variants: Variants, predictions: Predictions, scores: Scores)
         duplicate_boxes=duplicates,
         most_boxes_in_image=int(per_image.max()),
         images_with_many_boxes=int((per_image > PLAUSIBLE_BOXES_PER_IMAGE).sum()),
+        share_facing_backwards=_share_facing_backwards(variants["official"]),
         fingerprint=fingerprint(predictions),
     )
 
@@ -194,6 +203,12 @@ def evenly_spread(predictions: Predictions) -> Float64Array:
         values, rank = np.unique(predictions.score[of_class], return_inverse=True)
         spread[of_class] = (rank + 1) / max(1, len(values))
     return spread
+
+
+def _share_facing_backwards(statistics: Statistics) -> float | None:
+    """Count matched boxes that face away from what they match."""
+    yaw_similarity = statistics.pair_similarities[:, SIMILARITIES.index("yaw_sim")]
+    return float(np.mean(yaw_similarity < _QUARTER_CIRCLE)) if len(yaw_similarity) else None
 
 
 def _count_duplicates(predictions: Predictions) -> int:

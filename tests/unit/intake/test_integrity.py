@@ -71,6 +71,23 @@ def test_lost_score_resolution_is_shown(evaluation: Evaluation) -> None:
     assert car.ap_evenly_spread == audit(evaluation).score_resolution[0].ap_evenly_spread  # only the ranking counts
 
 
+def test_yaw_off_by_half_a_circle_is_seen(evaluation: Evaluation) -> None:
+    """Every box turned round about its own vertical axis: (w, x, y, z) times (0, 0, 0, 1) is (-z, y, -x, w)."""
+    turned = replace(evaluation.predictions, rotation=evaluation.predictions.rotation[:, [3, 2, 1, 0]] * [-1, 1, -1, 1])
+    before = audit(evaluation).share_facing_backwards
+    after = audit(_again(evaluation, turned)).share_facing_backwards
+    assert before is not None
+    assert before < 0.1
+    assert after == pytest.approx(1 - before, abs=0.01)  # matching does not look at yaw
+
+
+def test_no_match_faces_backwards_or_forwards(evaluation: Evaluation) -> None:
+    """Without boxes there is nothing to say, which is neither 0 nor 1."""
+    names = ("image_index", "label_index", "score", "center_m", "dimensions_m", "rotation", "amodal_px", "modal_px")
+    none = replace(evaluation.predictions, **{name: getattr(evaluation.predictions, name)[:0] for name in names})
+    assert audit(_again(evaluation, none)).share_facing_backwards is None
+
+
 def test_duplicates_are_counted(evaluation: Evaluation) -> None:
     """Each box twice: half of them are repetitions."""
     boxes = evaluation.predictions
