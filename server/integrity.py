@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from evaluator.fingerprint import similarity
 from evaluator.integrity import SIMILARITY_LIMIT, IntegrityAudit
 from server import audit
+from server.errors import Conflict
 from server.models import Score, Submission
 
 COPIED = "The predictions are nearly identical to a submission of another team."
@@ -39,10 +40,20 @@ def hold(session: Session, submission: Submission, reason: str, *, actor: str, *
 
 
 def release(session: Session, submission: Submission, actor: str) -> None:
-    """Let a held submission be published after all; nothing happens when it is not held."""
+    """Let a held submission be published after all; nothing happens when it is not held.
+
+    Raises:
+        Conflict: It was held anew since the caller read it, for a reason that nobody has looked at.
+    """
+    reason = submission.held_reason
+    query = sa.select(Submission).where(Submission.id == submission.id).with_for_update()
+    session.scalar(query.execution_options(populate_existing=True))
     if submission.held_reason is None:
         return
-    reason, submission.held_reason = submission.held_reason, None
+    if submission.held_reason != reason:
+        message = f"it was held meanwhile: {submission.held_reason}; look at that before you release it"
+        raise Conflict(message)
+    submission.held_reason = None
     submission.version += 1
     session.flush()
     audit.record(

@@ -10,7 +10,7 @@ from server.api import documents, errors, examples, rendering
 from server.api.edge import Asker, WebDependency, answers, change, document_answer, json_response, read
 from server.api.identity import Identity
 from server.api.submissions import SubmissionId, owned, shown_to_owner, visible
-from server.errors import Forbidden, NotAuthenticated, NotFound, NotScored
+from server.errors import Conflict, Forbidden, NotAuthenticated, NotFound, NotScored
 
 router = APIRouter(prefix="/submissions", tags=["submissions"])
 
@@ -46,6 +46,7 @@ def show_integrity(submission_id: SubmissionId, web: WebDependency, asker: Asker
         *_ACCESS,
         Forbidden,
         errors.CsrfFailed,
+        Conflict,
         s200=document_answer("The submission as it is now.", documents.SubmissionDocument, example=examples.SUBMISSION),
     ),
 )
