@@ -5,6 +5,7 @@
     ├── NotAuthenticated       401  not_authenticated
     ├── Forbidden              403  forbidden
     ├── InvalidField           422  invalid_field
+    ├── IdempotencyMismatch    422  idempotency_mismatch
     ├── TooLarge               413  too_large
     ├── Conflict               409  conflict
     │   ├── PhaseClosed        409  phase_closed
@@ -54,6 +55,17 @@ class InvalidField(ServerError):
 
     code = "invalid_field"
     status = 422
+
+
+class IdempotencyMismatch(ServerError):
+    """The Idempotency-Key was used before for another request."""
+
+    code = "idempotency_mismatch"
+    status = 422
+
+    def __init__(self) -> None:
+        """Say what helps."""
+        super().__init__("This Idempotency-Key stands for another submission of yours; use a new key.")
 
 
 class TooLarge(ServerError):

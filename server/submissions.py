@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session, joinedload, object_session
 from server import audit, database, exclusions, integrity, lifecycle, quota
 from server.accounts import checked_slug, checked_text, is_member
 from server.blobs import Blobs, record_blob
-from server.errors import Conflict, Forbidden, Held, NotFound, NotScored, PhaseClosed
+from server.errors import Forbidden, Held, IdempotencyMismatch, NotFound, NotScored, PhaseClosed
 from server.models import Method, Phase, Publication, Score, Submission, SubmissionState, Team, User
 from server.ranking import Basis, was_in_force
 
@@ -37,14 +37,15 @@ def receive(
         Forbidden: The user is not in the team.
         PhaseClosed: The phase takes no submissions now.
         QuotaExceeded: The team may not send more now.
-        Conflict: The idempotency key was used for other bytes.
+        IdempotencyMismatch: The idempotency key was used for another request.
         InvalidField: A name cannot be used.
     """
     if not is_member(session, team_id=team.id, user_id=user.id):
         message = f"{user.email} is not in team {team.slug}; ask a maintainer to add you"
         raise Forbidden(message)
     quota.lock_team(session, team.id)
-    if idempotency_key and (known := _replayed(session, user, idempotency_key, phase, predictions_sha256)):
+    request = (phase.id, team.id, method_slug, predictions_sha256)
+    if idempotency_key and (known := replayed(session, user.id, idempotency_key, request)):
         return known
     check_open(session, phase)
     quota.check(session, team=team, phase=phase)
@@ -81,18 +82,27 @@ def receive(
     return submission
 
 
-def _replayed(session: Session, user: User, key: str, phase: Phase, sha256: str) -> Submission | None:
-    """Find the submission an idempotency key stands for.
+def replayed(session: Session, user_id: int, key: str, request: tuple[int, int, str, str]) -> Submission | None:
+    """Find the submission that a request with an idempotency key made before.
+
+    Args:
+        session: Reads the record.
+        user_id: Who sends: keys are each user's own.
+        key: Of the request.
+        request: Phase, team, slug of the method, and digest of the predictions.
 
     Raises:
-        Conflict: It stands for another one.
+        IdempotencyMismatch: The user sent something else under this key.
     """
-    known = session.scalar(
-        sa.select(Submission).where(Submission.user_id == user.id, Submission.idempotency_key == key)
-    )
-    if known and (known.phase_id, known.predictions_sha256) != (phase.id, sha256):
-        raise Conflict("this Idempotency-Key was used for another submission; use a new key for new predictions")
+    known = sent_under(session, user_id, key)
+    if known and (known.phase_id, known.team_id, known.method.slug, known.predictions_sha256) != request:
+        raise IdempotencyMismatch
     return known
+
+
+def sent_under(session: Session, user_id: int, key: str) -> Submission | None:
+    """Find what a user sent under an idempotency key, whatever it is."""
+    return session.scalar(sa.select(Submission).where(Submission.user_id == user_id, Submission.idempotency_key == key))
 
 
 def check_open(session: Session, phase: Phase) -> None:

@@ -13,7 +13,6 @@ ServerError                        (server/errors.py)
 ├── ValidationFailed               422  invalid_request
 ├── ArchiveRefused                 422  archive_refused
 ├── DigestMismatch                 422  digest_mismatch
-├── IdempotencyMismatch            422  idempotency_mismatch
 ├── TooManyRequests                429  too_many_requests
 ├── TooManyUploads                 503  too_many_uploads    (Unavailable)
 │   └── TooManyOwnUploads          503  too_many_own_uploads
@@ -176,17 +175,6 @@ class DigestMismatch(ServerError):
     def __init__(self) -> None:
         """Say what helps."""
         super().__init__("The body's SHA-256 differs from the digest header: it was changed on the way; send it again.")
-
-
-class IdempotencyMismatch(ServerError):
-    """The Idempotency-Key was used before for another request."""
-
-    code = "idempotency_mismatch"
-    status = 422
-
-    def __init__(self) -> None:
-        """Say what helps."""
-        super().__init__("This Idempotency-Key belongs to another upload of your team; use a new key.")
 
 
 class TooManyRequests(ServerError):

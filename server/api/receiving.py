@@ -15,12 +15,12 @@ from sqlalchemy.orm import Session
 
 from evaluator.intake import check_archive
 from server import accounts, benchmarks, quota, submissions
-from server.api.errors import ArchiveRefused, IdempotencyMismatch
+from server.api.errors import ArchiveRefused
 from server.api.identity import Identity
 from server.api.orders import Order
 from server.api.spool import SpooledFile
-from server.errors import Forbidden, InvalidField
-from server.models import Phase, Submission, Team, User
+from server.errors import Forbidden, IdempotencyMismatch, InvalidField
+from server.models import Phase, Team, User
 from server.services import Services
 
 MAX_KEY_CHARACTERS = 255
@@ -52,7 +52,8 @@ def admit(session: Session, identity: Identity, order: Order) -> Admission:
     if order.idempotency_key is not None and not 0 < len(order.idempotency_key) <= MAX_KEY_CHARACTERS:
         raise InvalidField(f"idempotency-key must have 1 to {MAX_KEY_CHARACTERS} characters")
     team = _team_of(session, identity, order.team)
-    if _known(session, identity.user.id, order.idempotency_key) is None:
+    key = order.idempotency_key
+    if key is None or submissions.sent_under(session, identity.user.id, key) is None:
         _check_room_for_one(session, team, phase)
     return Admission(identity.user.id, team.id, identity.actor)
 
@@ -70,12 +71,13 @@ def keep(services: Services, admission: Admission, order: Order, spooled: Spoole
     report = check_archive(spooled.path)
     if not report.accepted:
         raise ArchiveRefused(report)
-    known = _replayed(services, admission, order, spooled.sha256)
-    if known is not None:
-        return known
     with services.snapshot() as session:
-        # Asked before the bytes are promoted, so that a resumable upload can be completed later.
         phase = benchmarks.find_phase(session, order.benchmark, order.phase)
+        request = (phase.id, admission.team_id, order.method, spooled.sha256)
+        key = order.idempotency_key
+        if key is not None and (known := submissions.replayed(session, admission.user_id, key, request)):
+            return known.id
+        # Asked before the bytes are promoted, so that a resumable upload can be completed later.
         _check_room_for_one(session, session.get_one(Team, admission.team_id), phase)
     services.blobs.put_file(spooled.path, spooled.sha256)
     submission_id = _record(services, admission, order, spooled)
@@ -111,27 +113,6 @@ def _record(services: Services, admission: Admission, order: Order, spooled: Spo
         if order.idempotency_key is None:
             raise
         raise IdempotencyMismatch from error
-
-
-def _replayed(services: Services, admission: Admission, order: Order, sha256: str) -> uuid.UUID | None:
-    """Find the submission that this very request made before."""
-    with services.snapshot() as session:
-        known = _known(session, admission.user_id, order.idempotency_key)
-        if known is None:
-            return None
-        phase = known.phase
-        made = (phase.benchmark.slug, phase.slug, known.method.slug, known.team_id, known.predictions_sha256)
-        if made != (order.benchmark, order.phase, order.method, admission.team_id, sha256):
-            raise IdempotencyMismatch
-        return known.id
-
-
-def _known(session: Session, user_id: int, key: str | None) -> Submission | None:
-    """Find what a user sent under a key before."""
-    if key is None:
-        return None
-    mine = (Submission.user_id == user_id, Submission.idempotency_key == key)
-    return session.scalar(sa.select(Submission).where(*mine))
 
 
 def _team_of(session: Session, identity: Identity, slug: str | None) -> Team:

@@ -32,6 +32,7 @@ from server.api.spool import FORM_OVERHEAD_BYTES, at_a_decent_pace
 from server.errors import (
     Conflict,
     Forbidden,
+    IdempotencyMismatch,
     InvalidField,
     NotAuthenticated,
     NotFound,
@@ -98,7 +99,7 @@ SENDING_PROBLEMS = (
     ValidationFailed,
     errors.ArchiveRefused,
     errors.DigestMismatch,
-    errors.IdempotencyMismatch,
+    IdempotencyMismatch,
     QuotaExceeded,
     TooManyRejections,
     errors.TooManyRequests,
