@@ -15,7 +15,7 @@ from evaluator.protocol import VEHICLE_LABELS
 from evaluator.report import ProblemGroup
 from evaluator.synthetic import QUALITIES, synthesize_ground_truth, synthesize_predictions
 from tests.data.corpus_predictions import IMAGE, box, document
-from tests.data.mistakes import MISTAKES, noisy
+from tests.data.mistakes import MISTAKES, about_z, multiply, noisy
 
 ORACLE = Path(__file__).parents[2] / "data" / "oracle"
 CASES = sorted(path.name for path in ORACLE.iterdir())
@@ -78,6 +78,15 @@ def test_vehicles_facing_backwards_are_noticed() -> None:
     backwards = replace(predictions, rotation=np.tile([0.0, 0, 0, 1], (len(predictions), 1)))
     assert Code.YAW_OFF_BY_180 not in _codes(forwards, images)
     assert Code.YAW_OFF_BY_180 in _codes(backwards, images)
+
+
+@pytest.mark.parametrize("case", ["realistic60", "modal_iou50"])
+def test_boxes_turned_around_are_not_noticed_without_traffic(case: str) -> None:
+    """Where headings point everywhere, as on an imaginary road, a yaw off by 180 degrees cannot be told: the limit."""
+    predictions, images = _oracle(case)
+    half_circle = about_z(np.full(len(predictions), np.pi))
+    turned = replace(predictions, rotation=multiply(predictions.rotation, half_circle))
+    assert _codes(turned, images) == set()
 
 
 def test_few_boxes_prove_nothing() -> None:
