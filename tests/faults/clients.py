@@ -7,6 +7,8 @@ import time
 import uuid
 from collections import Counter
 from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
 
 import httpx
 import msgspec
@@ -72,7 +74,7 @@ BEYOND_ONE = 1.5
 
 
 class Clients:
-    """Several participants at once, until they are told to stop."""
+    """Several participants at once: a context manager, at whose end everybody finishes what they are sending."""
 
     def __init__(self, deployment: Deployment, *, seed: int, pause_s: float = 1.0) -> None:
         """Start sending."""
@@ -87,16 +89,23 @@ class Clients:
         self._pause_s = pause_s
         self._stop = threading.Event()
         self._threads = [
-            threading.Thread(target=self._participate, args=(one, random.Random(f"{seed}-{one.method}")))  # noqa: S311 - a plan, not a secret
+            # Daemons: a run that failed does not wait for those who still want an answer.
+            threading.Thread(target=self._participate, args=(one, random.Random(f"{seed}-{one.method}")), daemon=True)  # noqa: S311 - a plan, not a secret
             for one in PARTICIPANTS
         ]
         for thread in self._threads:
             thread.start()
 
-    def stop(self) -> None:
-        """Let everybody finish what they are sending."""
+    def __enter__(self) -> Self:
+        """Give the participants."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Let everybody finish what they are sending; nobody waits for that when the run has failed."""
         self._stop.set()
-        for thread in self._threads:
+        for thread in self._threads if error is None else ():
             thread.join()
 
     def send_deadly(self, score: float, code: str) -> str:
@@ -111,6 +120,12 @@ class Clients:
         return submission_id
 
     def _participate(self, one: Participant, chance: random.Random) -> None:
+        try:
+            self._send_again_and_again(one, chance)
+        except Exception as error:  # noqa: BLE001 - whatever ends a participant is told with the verdict
+            self.unforeseen.append(f"{one.method} gave up: {error!r}")
+
+    def _send_again_and_again(self, one: Participant, chance: random.Random) -> None:
         while not self._stop.wait(self._pause_s * (1 + self._unfinished() / BACKLOG)):
             valid = chance.random() >= one.share_with_errors
             # Nobody sends the same bytes twice: what the sender says is then checked against one row.

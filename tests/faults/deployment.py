@@ -3,42 +3,44 @@
 The same in both shapes but for the database, the broker and the blobs. Two workers, one web process, one scheduler.
 """
 
-import os
 import signal
 import sys
 import tempfile
-import time
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import psutil
 import sqlalchemy as sa
 
 from server import accounts, benchmarks, database
 from server.models import Submission, SubmissionState
 from server.services import Services
 from server.settings import Settings
-from tests.faults import clock, hooks, points, sabotage, scoring_process
+from tests.faults import clock, hooks, points, sabotage
 from tests.faults.disk import Disk
+from tests.faults.points import Strike
 from tests.services.broker import Broker
 from tests.services.bucket import BucketServer
 from tests.services.installation import SMALL_CASE, Installation
 from tests.services.postgresql import PostgresqlServer
-from tests.services.processes import Service
+from tests.services.processes import Service, wait_until
 from tests.services.web import WebProcess
 from tests.services.worker import WorkerProcess, environment_of
 
 LEASE_S = 3.0
 DRAIN_S = 300.0
 """A worker ends its task within this, however slow the machine is."""
-MAX_ATTEMPTS = 6
+REMAINS_S = 120.0
+"""What a killed database left behind is gone within this."""
+MAX_ATTEMPTS = 10
 """Of the phases: a submission that every attack happens to meet is scored in the end."""
 SCARCE, SCARCE_PER_DAY = "scarce", 10
 """A phase whose quota is used up and whose submissions are scored in shards; and how many valid ones it takes."""
-CLOCKS_WRONG_BY_S = (-3600, 3600)
-"""Of the two workers."""
+CLOCKS_WRONG_BY_S = {"web": 1800, "worker0": -3600, "worker1": 3600, "scheduler": -1800}
+"""Of all our own processes."""
+COPIES = 5
+"""Of every message, whoever sends it."""
 TIMES: dict[str, Any] = {
     "lease_s": LEASE_S, "heartbeat_s": 0.5, "sweep_s": 1.0, "resend_s": 3.0, "broker_timeout_s": 1.5,
     "disk_floor_bytes": 0, "worker_concurrency": 1,
@@ -50,25 +52,27 @@ TARGETS = ("web", "worker", "worker_parent", "pool_process", "scoring_process", 
 class Scheduler(Service):
     """Celery beat."""
 
-    def __init__(self, folder: Path, settings: Settings) -> None:
-        """Take the settings of an installation."""
+    def __init__(self, folder: Path, settings: Settings, extra: dict[str, str]) -> None:
+        """Take the settings of an installation, and more variables for the environment."""
         super().__init__("scheduler", folder)
         self.settings = settings
+        self.extra = extra
 
     def command(self) -> Sequence[str]:
-        """Run the command that operators run."""
-        return [sys.executable, "-m", "celery", "--app", "worker.app", "beat", "--pidfile=", "--loglevel", "WARNING"]
+        """Run the command that operators run, with another application."""
+        application = "tests.faults.worker_app"
+        return [sys.executable, "-m", "celery", "--app", application, "beat", "--pidfile=", "--loglevel", "WARNING"]
 
     def environment(self) -> Mapping[str, str]:
         """Give the installation's settings."""
-        return environment_of(self.settings)
+        return environment_of(self.settings, **self.extra)
 
 
 class Deployment:
     """One running installation under attack."""
 
     def __init__(self, shape: str, folder: Path, *, mount: bool, sabotaged: str | None = None) -> None:
-        """Start everything and create a team with two phases and a token."""
+        """Start everything, without waiting for our own processes, and create a team with two phases and a token."""
         self.shape = shape
         self._started: list[Service] = []
         self.faults = folder / "faults"
@@ -99,26 +103,31 @@ class Deployment:
         self.installation = Installation(services=self.services, broker=self.broker, folder=folder)
         self._populate()
         self.token = self._create_token()
-        environment = {points.FOLDER_VARIABLE: str(self.faults), sabotage.VARIABLE: sabotaged or ""}
+        self._sabotaged = sabotaged or ""
         self.web = WebProcess(folder / "web", self.services.settings, application="tests.faults.web_app:application")
-        self.web.extra = {**environment, hooks.COPIES_VARIABLE: "5"}
-        self.workers = [self._worker(folder / f"worker{index}", index, environment) for index in range(2)]
-        self.scheduler = Scheduler(folder / "scheduler", self.services.settings)
-        fronts = (self.web, *self.workers, self.scheduler)
-        for front in fronts:
+        self.web.extra = self._environment("web")
+        self.workers = [self._worker(folder / f"worker{index}") for index in range(2)]
+        self.scheduler = Scheduler(folder / "scheduler", self.services.settings, self._environment("scheduler"))
+        self.fronts: tuple[Service, ...] = (self.web, *self.workers, self.scheduler)
+        for front in self.fronts:
             self._started.append(front)
             front.launch()
-        self.wait_until_ready()
 
     def wait_until_ready(self) -> None:
         """Wait until everything answers."""
         for service in self._started:
             service.wait_until_ready()
 
-    def _worker(self, folder: Path, index: int, environment: dict[str, str]) -> WorkerProcess:
-        """Plan a worker; its clock is wrong."""
-        shifted = {**environment, clock.VARIABLE: str(CLOCKS_WRONG_BY_S[index])}
-        return WorkerProcess(folder, self.services.settings, module="tests.faults.worker_app", extra=shifted)
+    def _worker(self, folder: Path) -> WorkerProcess:
+        extra = self._environment(folder.name)
+        return WorkerProcess(folder, self.services.settings, module="tests.faults.worker_app", extra=extra)
+
+    def _environment(self, name: str) -> dict[str, str]:
+        """Say what is done to one of our processes: where points are armed, and what is wrong with it."""
+        return {
+            points.FOLDER_VARIABLE: str(self.faults), sabotage.VARIABLE: self._sabotaged,
+            hooks.COPIES_VARIABLE: str(COPIES), clock.VARIABLE: str(CLOCKS_WRONG_BY_S[name]),
+        }  # fmt: skip
 
     def _backing(self) -> list[Service]:
         return [service for service in (self.database, self.bucket, self.broker) if service is not None]
@@ -161,8 +170,8 @@ class Deployment:
             team = accounts.find_team(session, "lab")
             return accounts.create_token(session, user=user, team=team, name="t", expires_at=None, actor="admin:t")[1]
 
-    def victims(self, target: str, index: int) -> tuple[int, ...]:
-        """Give what to kill for a target: process ids, negative for groups; empty when there is none at the moment.
+    def killing(self, target: str, index: int) -> Strike:
+        """Plan to kill a target.
 
         "worker" is everything that belongs to one; its parent and its children are targets of their own.
 
@@ -171,29 +180,29 @@ class Deployment:
             index: Chooses the worker.
         """
         worker = self.workers[index % len(self.workers)]
-        services: dict[str, Service | None] = {
-            "web": self.web, "worker": worker, "scheduler": self.scheduler, "broker": self.broker,
-        }  # fmt: skip
-        if target in services:
-            service = services[target]
-            return (-service.process.pid,) if service and service.process else ()
-        if target == "database":
-            process = self.database.process if self.database else None
-            return (process.pid,) if process else ()
-        parent = worker.process.pid if worker.process else 0
+        if target in ("pool_process", "scoring_process"):
+            return Strike(kill_children_of=_process(worker), scoring=target == "scoring_process")
         if target == "worker_parent":
-            return (parent,) if parent else ()
-        return _children(parent, scoring=target == "scoring_process")
+            return Strike(kill=(_process(worker),))
+        if target == "database":
+            return Strike(kill=(_process(self.database),))
+        groups = {"web": self.web, "worker": worker, "scheduler": self.scheduler, "broker": self.broker}
+        return Strike(kill=(-_process(groups[target]),))
 
     def revive(self) -> None:
         """Start again what died, as a supervisor does; what others depend on is waited for."""
-        for service in self._started:
+        for service in self._backing():
             if not service.running:
                 service.kill()
-                if service in self._backing():
-                    _start_patiently(service)
-                else:
-                    service.launch()
+                _start_patiently(service)
+        self.revive_fronts()
+
+    def revive_fronts(self) -> None:
+        """Start again what died of our own processes."""
+        for service in self.fronts:
+            if not service.running:
+                service.kill()
+                service.launch()
 
     def unfinished(self) -> dict[uuid.UUID, SubmissionState]:
         """Look up which submissions are in no terminal state."""
@@ -207,11 +216,12 @@ class Deployment:
         for worker in self.workers:
             worker.stop(timeout_s=DRAIN_S)
 
-    def logs(self) -> dict[str, str]:
-        """Read what our own processes wrote."""
-        folders = [service.folder for service in (self.web, *self.workers, self.scheduler)]
-        paths = [path for folder in folders for path in folder.glob("*.log")]
-        return {str(path): path.read_text(errors="replace") for path in paths}
+    def was_taken(self, submission_id: str) -> bool:
+        """Say whether a worker took a message of a submission, even one that came before its row."""
+        with self.services.snapshot() as session:
+            row = session.get(Submission, uuid.UUID(submission_id))
+            claimed = row is not None and row.attempt > 0
+        return claimed or submission_id in points.early_messages(self.faults)
 
     def close(self) -> None:
         """End everything, what is frozen too."""
@@ -222,29 +232,23 @@ class Deployment:
         self._short.cleanup()
 
 
-def _children(parent: int, *, scoring: bool) -> tuple[int, ...]:
-    """Find a worker's pool processes or scoring processes."""
-    try:
-        below = psutil.Process(parent).children(recursive=True) if parent else []
-        found = [child.pid for child in below if (scoring_process.__name__ in child.cmdline()) is scoring]
-    except psutil.Error:
-        return ()
-    return tuple(found)
+def _process(service: Service | None) -> int:
+    """Give the process of a service that is running, or was until a moment ago."""
+    if service is None or service.process is None:
+        message = "there is no such process to kill"
+        raise ValueError(message)
+    return service.process.pid
 
 
 def _start_patiently(service: Service) -> None:
     """Start a service; a database that was killed needs a moment until its remains are gone."""
-    for _ in range(40):
+
+    def started() -> bool:
         try:
             service.start()
         except RuntimeError:
-            time.sleep(0.25)
-        else:
-            return
-    service.start()
+            service.kill()
+            return False
+        return True
 
-
-def wake(process: int) -> None:
-    """Continue a frozen process, if it is still there."""
-    if psutil.pid_exists(process):
-        os.kill(process, signal.SIGCONT)
+    wait_until(started, timeout_s=REMAINS_S, what=f"the start of {service.name} (log: {service.log_path})")

@@ -10,8 +10,12 @@ from pathlib import Path
 
 from tests.faults import points
 from tests.faults.points import Strike
+from tests.services.processes import wait_until
 
 SIZE_BYTES = 256 << 20
+
+FILLED_S = 60.0
+"""A moment at which nobody writes comes within this."""
 
 _CLONE_NEWNS = 0x00020000
 
@@ -43,11 +47,14 @@ class Disk:
         """Leave no room until the end of the block; the imitation fails the next upload only."""
         if not self.is_real:
             points.arm(self._faults, "fsynced", Strike(no_space=True))
-            yield
+            try:
+                yield
+            finally:
+                points.disarm(self._faults, "fsynced")
             return
         try:
-            while not self._resize(self._used_bytes()):
-                continue  # something was written between the two
+            # When something is written between the two, the size is refused.
+            wait_until(lambda: self._resize(self._used_bytes()), timeout_s=FILLED_S, what="a full disk")
             yield
         finally:
             self._resize(SIZE_BYTES)

@@ -2,9 +2,14 @@
 
 import functools
 import os
+import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import Any
+
+import psycopg
+from celery import Celery
 
 from server import blobs, lifecycle, submissions
 from server.blobs import BucketBlobs, FolderBlobs
@@ -20,16 +25,20 @@ from worker.sandbox import Sandbox
 COPIES_VARIABLE = "CS3D_TEST_COPIES"
 """How often every message is sent."""
 
+WITHIN_COMMIT = "commit_sent"
+"""On PostgreSQL this point lies between COMMIT and its answer."""
+
 
 def install(live: Iterable[str]) -> None:
     """Put everything in place; only the points named strike in this process."""
     points.install(live)
-    wrap(FolderBlobs, "put_file", before="received", after="promoted")
-    wrap(blobs, "_flush", after="fsynced")
-    wrap(BucketBlobs, "put_file", before="fsynced")  # flushing is the store's own affair there
-    wrap(BucketBlobs, "put_file", before="received", after="promoted")
-    wrap(Queue, "enqueue", after="enqueued")
+    _reach_received(live)
+    _reach_flushed()
+    wrap(FolderBlobs, "put_file", after="promoted")
+    wrap(BucketBlobs, "put_file", before="fsynced", after="promoted")  # flushing is the store's own affair there
+    _reach_enqueued()
     _reach_after_commit()
+    _reach_within_commit()
     _reach_with_scores()
     _note_early_messages()
     _send_copies(int(os.environ.get(COPIES_VARIABLE, "1")))
@@ -55,15 +64,61 @@ def wrap(owner: Any, name: str, *, before: str | None = None, after: str | None 
     setattr(owner, name, wrapped)
 
 
+def _reach_received(live: Iterable[str]) -> None:
+    """Reach the point at which the whole body is in a temporary file, and nobody has looked at it."""
+    if "received" in live:
+        from server.api import receiving  # noqa: PLC0415 - workers have no web faces
+
+        wrap(receiving, "keep", before="received")
+
+
+def _reach_flushed() -> None:
+    """Reach the point between flushing a file and promoting it; the folder that is flushed after that is none."""
+    original = blobs._flush
+
+    def flush(path: Path) -> None:
+        original(path)
+        if path.is_file():
+            reach("fsynced")
+
+    blobs._flush = flush
+
+
+def _reach_enqueued() -> None:
+    original = Queue.enqueue
+
+    @functools.wraps(original)
+    def enqueue(self: Queue, submission_id: Any, **named: Any) -> bool:
+        taken = original(self, submission_id, **named)
+        if taken:
+            reach("enqueued", about=str(submission_id))
+        return taken
+
+    Queue.enqueue = enqueue  # type: ignore[method-assign]  # that is what this module is for
+
+
+class _Committing(threading.local):
+    """What the commit stands for that this thread is about to make."""
+
+    points: tuple[str, ...] = ()
+
+
+_committing = _Committing()
+
+
 def _reach_after_commit() -> None:
-    """Reach the points that stand for a commit once it has returned."""
+    """Reach the points that stand for a commit once it has returned, unless they were reached within it."""
     original = Services.transaction
 
     @contextmanager
     def transaction(self: Services) -> Iterator[Any]:
-        with original(self) as session:
-            yield session
-            done = session.info.get("done", ())
+        try:
+            with original(self) as session:
+                yield session
+                _committing.points = tuple(session.info.get("done", ()))
+            done = _committing.points
+        finally:
+            _committing.points = ()
         for point in done:
             reach(point)
 
@@ -86,6 +141,34 @@ def _note(module: Any, name: str, point: str, *, when: Callable[[Any], bool] = l
         return result
 
     setattr(module, name, noted)
+
+
+def _reach_within_commit() -> None:
+    """Reach a point while the answer to COMMIT is not read. SQLite has no such moment: its commit is a call."""
+    original = psycopg.Connection.commit
+
+    @functools.wraps(original)
+    def commit(self: psycopg.Connection[Any]) -> None:
+        if WITHIN_COMMIT not in _committing.points:
+            original(self)
+            return
+        _committing.points = tuple(point for point in _committing.points if point != WITHIN_COMMIT)
+        with self.lock:
+            self.wait(commit_reaching(self, WITHIN_COMMIT))
+
+    psycopg.Connection.commit = commit  # type: ignore[method-assign]  # that is what this module is for
+
+
+def commit_reaching(connection: psycopg.Connection[Any], point: str) -> Generator[Any, Any, None]:
+    """Commit by psycopg's own steps; reach a point when it waits for the first time: COMMIT is sent, not answered."""
+    steps = connection._commit_gen()
+    try:
+        waits = next(steps)
+        reach(point)
+        while True:
+            waits = steps.send((yield waits))
+    except StopIteration:
+        return
 
 
 def _reach_with_scores() -> None:
@@ -117,11 +200,11 @@ def _note_early_messages() -> None:
 
 
 def _send_copies(copies: int) -> None:
-    """Send what the broker takes several times; what it does not take, once."""
-    original = Queue.enqueue
+    """Send what the broker takes several times, whatever it is and whoever sends it; what it does not take, once."""
+    original = Celery.send_task
 
     @functools.wraps(original)
-    def enqueue(self: Queue, *arguments: Any, **named: Any) -> bool:
-        return all(original(self, *arguments, **named) for _ in range(copies))
+    def send_task(self: Celery, *arguments: Any, **named: Any) -> Any:
+        return [original(self, *arguments, **named) for _ in range(copies)][-1]
 
-    Queue.enqueue = enqueue  # type: ignore[method-assign]  # that is what this module is for
+    Celery.send_task = send_task

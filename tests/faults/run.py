@@ -19,20 +19,20 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import sqlalchemy as sa
 
 from server.models import Submission, SubmissionState
-from tests.faults import attacks, disk, plan
+from tests.faults import attacks, diagnosis, disk, plan
 from tests.faults.clients import Clients
 from tests.faults.deployment import TARGETS, Deployment
 from tests.faults.sabotage import SABOTAGES
 from tests.faults.verdict import judge
-from tests.services.processes import wait_until
 
-SENT_S = 3600.0
-"""The participants make their submissions within this after the last attack, however slow the machine is."""
+UNMET_S = 600.0
+"""When no kill came about for so long, none ever will."""
 
 STUCK_S = 120.0
 """When no submission comes to its end for so long after the last fault, those that are left never will."""
@@ -80,6 +80,9 @@ def attack(shape: str, programme: Programme) -> Figures:
         figures = Figures(shape=shape, targets=targets, disk_was_real=deployment.disk.is_real)
         try:
             _run(deployment, figures, programme)
+        except Exception as error:
+            error.add_note(_described(deployment))
+            raise
         finally:
             deployment.services.close()
             deployment.close()
@@ -97,36 +100,54 @@ def _folder(shape: str, kept: Path | None) -> Iterator[Path]:
 
 
 def _run(deployment: Deployment, figures: Figures, programme: Programme) -> None:
-    clients = Clients(deployment, seed=programme.seed)
-    try:
+    deployment.wait_until_ready()
+    with Clients(deployment, seed=programme.seed) as clients:
         _kill(deployment, figures, programme)
         for name in programme.attacks:
             if deployment.database or name not in attacks.NEEDS_DATABASE_SERVER:
                 attacks.OTHERS[name](deployment, clients)
                 figures.others[name] += 1
                 _say(f"{deployment.shape}: {name}")
-        enough = programme.count
-        wait_until(lambda: len(clients.accepted) >= enough, timeout_s=SENT_S, what=f"{enough} submissions")
-    finally:
-        clients.stop()
+        _wait_for_submissions(deployment, clients, programme.count)
     deployment.revive()
     deployment.wait_until_ready()
     figures.broken += _settle(deployment, programme.stuck_s)
+    if figures.broken:  # said before the workers are stopped
+        _say(_described(deployment))
     deployment.drain()
     figures.statuses = clients.statuses
     figures.broken += judge(deployment, clients)
     _count(deployment, figures)
 
 
+def _described(deployment: Deployment) -> str:
+    return f"{deployment.shape}: {diagnosis.describe(deployment.services, deployment.fronts, deployment.faults)}"
+
+
+def _wait_for_submissions(deployment: Deployment, clients: Clients, enough: int) -> None:
+    """Wait for as many submissions as the programme wants; each next one comes in time, however slow the machine is."""
+    for count in range(len(clients.accepted), enough):
+        attacks.wait_for(deployment, partial(_have_sent, clients, count + 1), "one more submission")
+
+
+def _have_sent(clients: Clients, count: int) -> bool:
+    return len(clients.accepted) >= count
+
+
 def _kill(deployment: Deployment, figures: Figures, programme: Programme) -> None:
     chance = random.Random(programme.seed)  # noqa: S311 - a plan, not a secret
     planned = plan.kills(chance, figures.targets)
+    met_s = time.monotonic()
     while figures.killed.total() < programme.kills:
         point, target = next(planned)
         index = chance.randrange(2)
         done = any(attacks.kill_at(deployment, point, target, index=index) for _ in range(TRIES))
         figures.killed[point, target] += done
         _say(f"{deployment.shape}: {target} {'killed' if done else 'was not there'} at {point}")
+        met_s = time.monotonic() if done else met_s
+        if time.monotonic() - met_s > UNMET_S:
+            message = f"no kill came about within {UNMET_S:g} s"
+            raise TimeoutError(message)
     if programme.kills >= len(plan.pairs(figures.targets)):
         for point, target in sorted(plan.pairs(figures.targets) - set(+figures.killed)):
             figures.broken.append(f"the plan was not carried out: {target} was never killed at {point}")

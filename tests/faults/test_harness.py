@@ -15,10 +15,10 @@ from tests.services.worker import ROOT, environment_of
 CASES = {
     # Without the fence a worker that wakes up late writes into a submission that another has scored.
     "fence": ("freeze_worker", "raised unexpected"),
-    # Without the key and with a second write the score stands there twice.
+    # Without the key and with a second write, which is put in too, the score stands there twice.
     "unique_key": ("", "no_score_is_written_twice"),
-    # A message sent before the commit finds no row.
-    "early_message": ("", "came before its row"),
+    # A message sent before the commit finds no row, when the upload that sent it stands still for a moment.
+    "early_message": ("hold_upload", "came before its row"),
     # Without the sweeper what was not sent while the broker was away waits for ever.
     "sweeper": ("take_broker_away", "is stuck in"),
 }

@@ -2,8 +2,12 @@
 
 from fastapi import FastAPI
 
-from tests.faults import hooks
-from tests.faults.points import WEB_POINTS
+from tests.faults import clock
+
+clock.shift()
+
+from tests.faults import hooks  # noqa: E402 - after the clock is shifted
+from tests.faults.points import WEB_POINTS  # noqa: E402 - likewise
 
 hooks.install(WEB_POINTS)
 
