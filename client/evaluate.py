@@ -15,6 +15,8 @@ if TYPE_CHECKING:  # everything heavy is imported when the command runs
 FORMATS = ("table", "json", "cityscapes")
 MOST_DEPTH_BINS = 10_000
 """More only fill the memory: detections end at 10 km."""
+MOST_DEPTH_BINS_WITH_INTERVALS = 100
+"""Every bin is kept of every resample: 0.3 GB for 1525 images."""
 AUTOMATIC_WORKING_POINT = -1.0
 """The reference's way to ask for the best working point of each class."""
 
@@ -93,6 +95,10 @@ def protocol_from(args: argparse.Namespace) -> "Protocol":
     _require(protocol.depth_step_m >= 1, "--step-size must be at least 1 metre.")
     bins = protocol.max_depth_m / protocol.depth_step_m
     _require(bins <= MOST_DEPTH_BINS, f"--max-depth / --step-size must not exceed {MOST_DEPTH_BINS}.")
+    _require(
+        not args.intervals or bins <= MOST_DEPTH_BINS_WITH_INTERVALS,
+        f"--max-depth / --step-size must not exceed {MOST_DEPTH_BINS_WITH_INTERVALS} with --intervals.",
+    )
     _require(
         math.isfinite(protocol.working_point or 0.0), "--cw must be a score, or -1 for the best one of each class."
     )

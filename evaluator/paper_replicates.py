@@ -63,17 +63,20 @@ def _by_group(
     groups = int(group_of_cell.max()) + 1
     ap, working_point = np.zeros((2, weighting_count(weights), groups))
     for index, group in enumerate(_groups(statistics, group_of_cell, groups)):
-        for rows in _blocks(weighting_count(weights)):
+        for rows in _blocks(weighting_count(weights), max(len(group.true_image), len(group.false_image))):
             ap[rows, index], working_point[rows, index] = _curves(group, weights, rows)
     return ap, working_point
 
 
-def _blocks(count: int) -> list[NDArray[np.intp]]:
-    """Split weightings so that the curves of a block stay small in memory."""
-    return np.array_split(np.arange(count), max(1, -(-count // _BLOCK)))
+def _blocks(count: int, boxes: int) -> list[NDArray[np.intp]]:
+    """Split weightings so that the curves of a block, which have so many boxes, stay small in memory."""
+    rows = min(_MOST_ROWS, max(1, _MOST_NUMBERS // max(1, boxes)))
+    return np.array_split(np.arange(count), max(1, -(-count // rows)))
 
 
-_BLOCK = 250
+_MOST_ROWS = 250
+_MOST_NUMBERS = 1_000_000
+"""Weights in a block, about 20 bytes each with their sums."""
 
 
 def _groups(statistics: Statistics, group_of_cell: NDArray[np.intp], groups: int) -> list[_Group]:

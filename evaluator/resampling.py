@@ -128,11 +128,17 @@ def total_of(
 
 
 def weights_of(weighting: Weighting, rows: NDArray[np.intp], images: NDArray[np.intp]) -> WeightArray:
-    """Return (S, J) how often each of these weightings counts each of these images."""
+    """Return (S, J) how often each of these weightings counts each of these images, which may come more than once.
+
+    On the way there is nothing larger than the weightings or the answer.
+    """
     if isinstance(weighting, LeaveOneOut):
         return np.asarray(weighting.member[images] != rows[:, None], dtype=np.float32)
-    of_images = weighting.T[images]
-    return np.asarray(of_images.T if len(rows) == len(weighting) else of_images[:, rows].T)
+    if len(rows) == len(weighting):
+        return np.asarray(weighting.T[images].T)
+    if len(images) > weighting.shape[1]:
+        return np.asarray(weighting.T[:, rows][images].T)
+    return np.asarray(weighting.T[images][:, rows].T)
 
 
 def unit_index(images: tuple[str, ...], unit: Unit) -> IndexArray:

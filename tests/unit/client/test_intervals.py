@@ -72,6 +72,15 @@ def test_the_reference_format_has_no_place_for_intervals(benchmark: Path, capsys
     assert "no place for --intervals" in capsys.readouterr().err
 
 
+def test_intervals_are_of_a_hundred_depth_bins_at_most(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """101 bins of 1 m are too many with intervals, which keep each of them a thousand times, and fine without."""
+    bins = ("--max-depth", "101", "--step-size", "1")
+
+    assert _evaluate(benchmark, *bins, "--intervals") == 2
+    assert "must not exceed 100 with --intervals" in capsys.readouterr().err
+    assert _evaluate(benchmark, *bins) == 0
+
+
 def test_compare_prints_difference_interval_and_p_value(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of cars, of which there are enough; the second method is worse, which cannot be chance."""
     arguments = ["compare", "--gt", str(benchmark / "gt.zip"), str(benchmark / "good.zip"), str(benchmark / "bad.zip")]
