@@ -67,6 +67,8 @@ class Settings(BaseSettings):
     """Address space of the process that reads and scores one submission."""
     score_time_s: float = Field(default=600.0, gt=0)
     """It is stopped after so long."""
+    sandbox_required: bool = False
+    """True: a worker refuses to start where the kernel leaves the scoring process the network or other files."""
 
     smtp_host: str = ""
     """Empty: no mail is sent."""

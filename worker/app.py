@@ -30,10 +30,11 @@ from server.queue import (
 from server.services import Services
 from server.settings import Settings
 from worker import listening
+from worker.confinement import hide_memory
 from worker.evaluation import evaluate_submission, match_shard
 from worker.resampling import resample_score
 from worker.rescoring import evaluate_item
-from worker.sandbox import Sandbox
+from worker.sandbox import Sandbox, SandboxError
 from worker.sweeping import Sweeping
 
 log = structlog.get_logger(__name__)
@@ -61,7 +62,8 @@ class _Process:
 @cache
 def _process(pid: int) -> _Process:
     """Open the services once per process: connections must not be shared over a fork."""
-    return _Process(Services.from_settings(settings), Sandbox(), f"{socket.gethostname()}:{pid}")
+    sandbox = Sandbox(must_confine=settings.sandbox_required)
+    return _Process(Services.from_settings(settings), sandbox, f"{socket.gethostname()}:{pid}")
 
 
 @app.task(name=EVALUATE_TASK)
@@ -114,6 +116,21 @@ def sweep_files() -> None:
 
 
 _sweeping = Sweeping(settings, lambda: sweep_files.apply_async(priority=PRIORITY_NORMAL))
+
+
+@signals.worker_init.connect
+def _protect(**_: object) -> None:
+    """Hide our credentials from the scoring processes, before any is started, and see whether they are what they must be.
+
+    Raises:
+        SystemExit: They are not, and the settings want it.
+    """
+    hide_memory()
+    if settings.sandbox_required:
+        try:
+            Sandbox(must_confine=True).check()
+        except SandboxError as error:
+            raise SystemExit(str(error)) from error
 
 
 @signals.worker_ready.connect

@@ -1,8 +1,9 @@
 """The process that reads and scores participants' bytes: the evaluator and nothing else.
 
-Started once per worker process with a clean environment, it imports the evaluator, gives up the network and then
-forks one limited child per job: a job costs a fork, not an interpreter's start. A child that is killed, runs out of
-memory or goes wild takes nothing else with it. It gets file paths and a protocol; it has no credentials.
+Started once per worker process with a clean environment, it imports the evaluator, gives up the network and all privileges
+(worker/confinement.py) and then forks one limited child per job: a job costs a fork, not an interpreter's start. A child that
+is killed, runs out of memory or goes wild takes nothing else with it. It gets file paths and a protocol; it has no
+credentials, and where the kernel allows it opens nothing but those files.
 
 Jobs are JSON lines on standard input, events are JSON lines on standard output (worker/messages.py); worker/sandbox.py
 holds the other end. What a job is: worker/jobs.py.
@@ -22,6 +23,7 @@ from pathlib import Path
 
 import msgspec
 
+from worker import confinement
 from worker.messages import AnyJob, Broken, Event, Exit, Ready
 
 EXIT_MEMORY = 3
@@ -35,11 +37,13 @@ _CLONE_NEWUSER, _CLONE_NEWNET, _PR_SET_PDEATHSIG = 0x10000000, 0x40000000, 1
 def main() -> None:
     """Take jobs until standard input ends."""
     _die_with_parent(int(sys.argv[1]))
-    has_network = not _leave_network()
+    is_alone = _leave_network()
     _load_evaluator()
+    has_network = not confinement.refuse_sockets() and not is_alone
+    confinement.drop_privileges()
     gc.collect()
     gc.freeze()  # so that collections in the children do not touch, and so copy, these pages
-    _send(Ready(has_network=has_network))
+    _send(Ready(has_network=has_network, has_files=not confinement.can_confine_files()))
     for line in sys.stdin.buffer:
         _send(Exit(status=_run_in_child(msgspec.json.decode(line, type=AnyJob))))
 
@@ -58,6 +62,7 @@ def _run_in_child(job: AnyJob) -> int:
         status = 1
         try:
             _die_with_parent(os.getppid())
+            confinement.confine_files(Path(job.folder), map(Path, job.inputs))
             limit(job)
             status = run(job, _send)
         except MemoryError:
@@ -132,7 +137,7 @@ def _leave_network() -> bool:
     """Move to a network of our own without any interface; needs Linux, and root or unprivileged namespaces.
 
     Returns:
-        False where the platform does not allow it; then only the clean environment keeps the child from our services.
+        False where the platform does not allow it, as in most containers.
     """
     try:
         unshare = ctypes.CDLL(None).unshare

@@ -15,6 +15,7 @@ from evaluator.evaluation import evaluate, signature_of
 from evaluator.ground_truth import GroundTruth, ImageList
 from evaluator.intake import read_predictions
 from evaluator.integrity import IntegrityAudit, audit
+from evaluator.limits import ANY_SIZE
 from evaluator.predictions import Predictions
 from evaluator.protocol import PROTOCOLS
 from evaluator.results import Scores
@@ -110,7 +111,10 @@ def _reduce(job: Reduction, send: Send) -> None:
 def _validate(job: Job | Preparation, send: Send) -> Predictions | None:
     """Read the upload and write the report; None when it is rejected."""
     images = msgspec.json.decode(Path(job.image_list).read_bytes(), type=ImageList)
-    intake = read_predictions(Path(job.predictions), images=images, progress=_reporter("validating", send))
+    # What the server took is read, also once it takes less.
+    intake = read_predictions(
+        Path(job.predictions), images=images, limits=ANY_SIZE, progress=_reporter("validating", send)
+    )
     (Path(job.folder) / "report.json").write_bytes(msgspec.json.encode(intake.report))
     send(Rejected() if intake.predictions is None else Validated())
     return intake.predictions

@@ -27,6 +27,11 @@ class Job(_Limits, frozen=True, kw_only=True, tag="whole"):
     ground_truth_sha256: str
     protocol: str
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Files to read."""
+        return (self.predictions, self.ground_truth, self.image_list)
+
 
 class Preparation(_Limits, frozen=True, kw_only=True, tag="preparation"):
     """Validate a submission that is scored in shards; gives `report.json` and `predictions`, arrays for the shards."""
@@ -35,6 +40,11 @@ class Preparation(_Limits, frozen=True, kw_only=True, tag="preparation"):
     """Path of the uploaded zip."""
     image_list: str
     """Path of the public image list, JSON."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Files to read."""
+        return (self.predictions, self.image_list)
 
 
 class ShardJob(_Limits, frozen=True, kw_only=True, tag="shard"):
@@ -49,6 +59,11 @@ class ShardJob(_Limits, frozen=True, kw_only=True, tag="shard"):
     end_image: int
     """The first that is not in the range."""
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Files to read."""
+        return (self.predictions, self.ground_truth)
+
 
 class Reduction(_Limits, frozen=True, kw_only=True, tag="reduction"):
     """Join all shards; gives `scores.json`, `statistics` and `integrity.json`."""
@@ -62,12 +77,22 @@ class Reduction(_Limits, frozen=True, kw_only=True, tag="reduction"):
     ground_truth_sha256: str
     protocol: str
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Files to read."""
+        return (*self.shards, self.predictions)
+
 
 class Resampling(_Limits, frozen=True, kw_only=True, tag="resampling"):
     """Resample the images of a score; gives `replicates`, empty when there are too few images."""
 
     statistics: str
     """Path of the statistics that `Job` or `Reduction` gave."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Files to read."""
+        return (self.statistics,)
 
 
 AnyJob = Job | Preparation | ShardJob | Reduction | Resampling
@@ -77,6 +102,8 @@ class Ready(msgspec.Struct, frozen=True, tag="ready"):
     """Jobs are taken from now on."""
 
     has_network: bool
+    has_files: bool
+    """True where a job could open more files than its own."""
 
 
 class Progress(msgspec.Struct, frozen=True, tag="progress"):

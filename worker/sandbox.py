@@ -34,8 +34,9 @@ class SandboxError(Exception):
 class Sandbox:
     """One scoring process, started when it is first needed and again after it was killed. Takes one job at a time."""
 
-    def __init__(self) -> None:
-        """Start nothing yet."""
+    def __init__(self, *, must_confine: bool = False) -> None:
+        """Start nothing yet; with `must_confine` refuse to work where the kernel leaves it the network or other files."""
+        self._must_confine = must_confine
         self._process: subprocess.Popen[bytes] | None = None
         self._received = b""
         self._is_ready = False
@@ -85,6 +86,17 @@ class Sandbox:
             if not finished:
                 self.kill()
 
+    def check(self) -> None:
+        """Start the scoring process once and end it.
+
+        Raises:
+            SandboxError: It does not start, or is not confined and must be.
+        """
+        try:
+            self._started()
+        finally:
+            self.kill()
+
     def kill(self) -> None:
         """End the scoring process and its job at once."""
         process, self._process, self._received = self._process, None, b""
@@ -105,10 +117,20 @@ class Sandbox:
                 message = f"the scoring process said {ready} instead of that it is ready; its messages are in the log"
                 raise SandboxError(message)
             self._is_ready = True
-            log.info("sandbox_ready", has_network=ready.has_network)
+            log.info("sandbox_ready", has_network=ready.has_network, has_files=ready.has_files)
+            self._refuse_unless_confined(ready)
         if process is None:
             raise SandboxError("the scoring process could not be started")
         return process
+
+    def _refuse_unless_confined(self, ready: Ready) -> None:
+        kept = " and ".join(name for name, kept in (("network", ready.has_network), ("files", ready.has_files)) if kept)
+        if kept and self._must_confine:
+            self.kill()
+            message = (
+                f"this kernel leaves the scoring process its {kept}; unset CS3D_SANDBOX_REQUIRED to score all the same"
+            )
+            raise SandboxError(message)
 
     @staticmethod
     def _hand_over(process: subprocess.Popen[bytes], job: AnyJob) -> None:

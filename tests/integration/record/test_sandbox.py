@@ -1,8 +1,13 @@
 """The process that reads participants' bytes: what it cannot do, and how its deaths are told."""
 
+import json
 import os
+import shutil
 import signal
 import socket
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,15 +16,23 @@ import psutil
 import pytest
 
 from evaluator.ground_truth import read_ground_truth
+from server.models import SubmissionState
 from server.settings import MIB
-from tests.services.installation import SMALL_CASE, zip_of
+from tests.integration.record import prying_child
+from tests.services.installation import SMALL_CASE, Installation, zip_of
+from tests.services.worker import ROOT
+from worker import confinement
 from worker.child import EXIT_MEMORY, EXIT_NO_ROOM
-from worker.messages import Broken, Exit, Job, Rejected, Scored, Validated
-from worker.sandbox import Sandbox
+from worker.messages import Broken, Exit, Job, Ready, Rejected, Scored, Validated
+from worker.sandbox import Sandbox, SandboxError
+
+NOBODY = 65534
+
+needs_landlock = pytest.mark.skipif(not confinement.can_confine_files(), reason="the kernel does not confine files")
 
 
-@pytest.fixture
-def sandbox() -> Iterator[Sandbox]:
+@pytest.fixture(name="sandbox")
+def _sandbox() -> Iterator[Sandbox]:
     """Give a sandbox, ended after the test."""
     sandbox = Sandbox()
     yield sandbox
@@ -155,3 +168,93 @@ def test_sockets_are_not_inherited(sandbox: Sandbox, job: Job) -> None:
         listener.listen()
         _kinds(sandbox, job)
         assert _process(sandbox).net_connections() == []
+
+
+def _possible(job: Job) -> list[str]:
+    return list(json.loads((Path(job.folder) / "possible.json").read_text()))
+
+
+@needs_landlock
+def test_a_job_reaches_its_own_files_only(sandbox: Sandbox, job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bytes that took over the scoring process read what they are scored with, and nothing of the worker; they write nothing.
+
+    Root's scoring process, too, although it owns every file.
+    """
+    Path(job.folder).with_name("secret").write_bytes(b"secret")
+    monkeypatch.setattr("worker.sandbox.PROGRAM", prying_child.__name__)
+    assert _kinds(sandbox, job) == [Scored, Exit]
+    assert _possible(job) == ["read its input", "read our modules"]
+    assert Path(job.ground_truth).read_bytes() != b"other ground truth"
+
+
+@needs_landlock
+@pytest.mark.skipif(os.getuid() != 0, reason="otherwise the test above is one of an ordinary user")
+def test_an_ordinary_user_is_confined_like_root(job: Job) -> None:
+    """Giving up files and sockets takes no rights: a user without any owns the ground truth and cannot change it."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "job"
+        shutil.copytree(Path(job.folder).parent, root)
+        (root / "secret").write_bytes(b"secret")
+        for path in (Path(folder), root, *root.iterdir()):
+            os.chown(path, NOBODY, NOBODY)
+        text = msgspec.json.encode(job).decode().replace(str(Path(job.folder).parent), str(root))
+        theirs = msgspec.json.decode(text, type=Job)
+        command = [sys.executable, "-m", prying_child.__name__, str(os.getpid()), str(NOBODY)]
+        subprocess.run(command, input=msgspec.json.encode(theirs) + b"\n", cwd=ROOT, check=True, capture_output=True)
+        assert set(_possible(theirs)) - {"read our modules"} == {"read its input"}  # where our modules are all users'
+
+
+HIDING = """
+import os, sys, ctypes
+from worker.confinement import hide_memory
+if os.getuid() == 0:
+    os.setresuid(65534, 65534, 65534)
+ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)  # as a program that is executed starts
+for hide in (lambda: None, hide_memory):
+    hide()
+    worker = os.getpid()
+    if (child := os.fork()) == 0:
+        try:
+            open(f"/proc/{worker}/environ", "rb").read()
+        except PermissionError:
+            os._exit(1)
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux shows environments as files")
+def test_a_worker_hides_its_environment(tmp_path: Path) -> None:
+    """Without Landlock, too, a process of the same user cannot read what a worker that hid its memory holds."""
+    (tmp_path / "hiding.py").write_text(HIDING)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(tmp_path / "hiding.py")]
+    run = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    assert run.stdout.split() == ["0", "1"]
+
+
+@pytest.mark.parametrize(("network", "files"), [(True, False), (False, True)])
+def test_what_is_not_confined_may_be_refused(monkeypatch: pytest.MonkeyPatch, *, network: bool, files: bool) -> None:
+    """Where the kernel leaves something to the scoring process, a sandbox that must be whole takes no job; others do."""
+    ready = Ready(has_network=network, has_files=files)
+    monkeypatch.setattr(Sandbox, "_next_event", lambda *_: ready)
+    Sandbox().check()
+    with pytest.raises(SandboxError, match="network" if network else "files"):
+        Sandbox(must_confine=True).check()
+
+
+@needs_landlock
+def test_a_worker_starts_where_the_sandbox_is_whole(installation: Installation) -> None:
+    """A worker that requires the sandbox scores where there is one."""
+    submission_id = installation.submit()
+    installation.start_worker(extra={"CS3D_SANDBOX_REQUIRED": "1"})
+    installation.wait_for(submission_id, SubmissionState.SCORED)
+
+
+def test_a_worker_refuses_to_start_without_the_sandbox(installation: Installation) -> None:
+    """A worker that requires the sandbox ends at once where there is none, and says why."""
+    with pytest.raises(RuntimeError, match="leaves the scoring process its network"):
+        installation.start_worker(module="tests.integration.record.open_child", extra={"CS3D_SANDBOX_REQUIRED": "1"})
+    process = installation.workers[0].process
+    assert process is not None
+    assert process.wait() != 0
