@@ -31,3 +31,6 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 DEFAULT_LIMITS = Limits()
+
+ANY_SIZE = msgspec.structs.replace(DEFAULT_LIMITS, archive_bytes=2**62)
+"""For archives whose size is capped elsewhere: a server refuses a longer upload than it takes while it arrives."""
