@@ -107,7 +107,6 @@ class Site:
 def running_site(
     *,
     case: Path = SMALL_CASE,
-    application: str = APPLICATION,
     workers: int = 0,
     **settings: Any,  # noqa: ANN401 - the fields of Settings
 ) -> Iterator[Site]:
@@ -115,7 +114,6 @@ def running_site(
 
     Args:
         case: holds the ground truth, a folder or zip named `gt`.
-        application: what the web server runs.
         workers: processes that score, all of one Celery worker; 0: none runs.
         settings: of the installation.
     """
@@ -127,7 +125,7 @@ def running_site(
         services = Services.from_settings(chosen)
         database.migrate(services.engine)
         installation = Installation(services=services, broker=broker, folder=folder)
-        web = WebServer(folder / "web", chosen, application=application)
+        web = WebServer(folder / "web", chosen)
         try:
             broker.start()
             installation.populate(case, submissions_per_day=1_000_000, rejections_per_day=1_000_000)

@@ -71,7 +71,7 @@ def connect(args: argparse.Namespace) -> "Server":
     """Name the server and the token, from the options or the environment.
 
     Raises:
-        UsageError: One of them is missing.
+        UsageError: One of them is missing or cannot be one.
     """
     from client.server_api import Server  # noqa: PLC0415 - keeps `cs3d --help` fast
 
@@ -88,8 +88,10 @@ def _passes_validation(predictions: Path) -> bool:
     """Validate offline and print what is wrong; without an image list missing images go unnoticed."""
     from client.report_text import report_text  # noqa: PLC0415 - keeps `cs3d --help` fast
     from evaluator.intake import read_predictions  # noqa: PLC0415 - likewise
+    from evaluator.limits import ANY_SIZE  # noqa: PLC0415 - likewise
 
-    report = read_predictions(predictions, images=None).report
+    # How large an archive may be is the server's to say.
+    report = read_predictions(predictions, images=None, limits=ANY_SIZE).report
     if report.groups:
         print(report_text(report), file=sys.stderr)
     return report.accepted

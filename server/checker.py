@@ -20,6 +20,7 @@ from sqlalchemy.orm import Session
 from evaluator.evaluation import evaluate
 from evaluator.ground_truth import GroundTruth, read_ground_truth
 from evaluator.intake import read_predictions
+from evaluator.limits import ANY_SIZE
 from evaluator.protocol import EVALUATOR_VERSION, PROTOCOLS
 from evaluator.results import Scores
 from server import database, quota, ranking, rescoring_checks
@@ -345,7 +346,8 @@ def _computed_again(services: Services, score: Score) -> Scores | None:
     """Score the submission from its blobs; None when its predictions are refused now."""
     ground_truth = GroundTruth.from_bytes(services.blobs.read(score.ground_truth.sha256))
     predictions_sha256 = score.submission.predictions_sha256
-    intake = read_predictions(services.blobs.local_path(predictions_sha256), images=ground_truth.image_list())
+    path = services.blobs.local_path(predictions_sha256)
+    intake = read_predictions(path, images=ground_truth.image_list(), limits=ANY_SIZE)
     if intake.predictions is None:
         return None
     return evaluate(

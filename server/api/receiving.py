@@ -14,6 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from evaluator.intake import check_archive
+from evaluator.limits import ANY_SIZE
 from server import accounts, benchmarks, quota, submissions
 from server.api.errors import ArchiveRefused
 from server.api.identity import Identity
@@ -68,7 +69,7 @@ def keep(services: Services, admission: Admission, order: Order, spooled: Spoole
         IdempotencyMismatch: The key was used for another upload.
         QuotaExceeded: The team may not send more now.
     """
-    report = check_archive(spooled.path)
+    report = check_archive(spooled.path, ANY_SIZE)  # the spool, or the announced length, has its cap
     if not report.accepted:
         raise ArchiveRefused(report)
     with services.snapshot() as session:
