@@ -31,8 +31,10 @@ EXTRA_S = 4.0
 def kill_at(deployment: Deployment, point: str, target: str, *, index: int) -> bool:
     """Kill a target at the moment somebody passes a point; False when that did not come about."""
     deployment.revive()
+    planned = deployment.killing(target, index)
     try:
-        struck = strike(deployment, point, deployment.killing(target, index), timeout_s=MET_S)
+        wait_until(lambda: points.victims(planned), timeout_s=MET_S, what=target)
+        struck = strike(deployment, point, planned, timeout_s=MET_S)
     except TimeoutError:
         return False
     # What a busy machine is slow to end must not be taken for running, by whatever comes next.

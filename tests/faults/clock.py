@@ -6,7 +6,10 @@ from datetime import datetime, tzinfo
 from types import ModuleType
 
 VARIABLE = "CS3D_TEST_CLOCK_SHIFT_S"
-"""By how much this process's clock is wrong, in seconds; the database's is right."""
+"""By how much `time.time` is wrong in this process, in seconds.
+
+The database's clock and the kernel's, which file times come from, are right, and so is what libraries read from `datetime`.
+"""
 
 
 def shift() -> None:

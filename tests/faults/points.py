@@ -113,6 +113,11 @@ def is_alive(process: int) -> bool:
         return False
 
 
+def victims(strike: Strike) -> list[int]:
+    """List what a strike would kill at this moment."""
+    return [target for target in (*strike.kill, *_children(strike)) if is_alive(target)]
+
+
 def note_early_message(submission_id: object) -> None:
     """Keep that a message came before the row it speaks of; the verdict reads it."""
     if folder := os.environ.get(FOLDER_VARIABLE):
@@ -146,13 +151,13 @@ def reach(point: str, *, about: str = "") -> None:
     except FileNotFoundError:
         return
     strike = Strike(**json.loads(draft.read_text()))
-    victims = [target for target in (*strike.kill, *_children(strike)) if is_alive(target)]
-    draft.write_text(json.dumps({"process": os.getpid(), "killed": victims, "about": about}))
-    _strike(strike, victims, draft.rename(Path(folder) / f"{point}.taken.{passage}"))
+    killed = victims(strike)
+    draft.write_text(json.dumps({"process": os.getpid(), "killed": killed, "about": about}))
+    _strike(strike, killed, draft.rename(Path(folder) / f"{point}.taken.{passage}"))
 
 
-def _strike(strike: Strike, victims: list[int], account: Path) -> None:
-    for target in sorted(victims, key=_is_ours):
+def _strike(strike: Strike, killed: list[int], account: Path) -> None:
+    for target in sorted(killed, key=_is_ours):
         with contextlib.suppress(ProcessLookupError):
             os.kill(target, signal.SIGKILL) if target >= 0 else os.killpg(-target, signal.SIGKILL)
     if strike.stop:

@@ -7,11 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import psutil
+import psycopg
 import pytest
 
-from tests.faults import diagnosis, points
+from tests.faults import diagnosis, hooks, points
 from tests.faults.points import Strike
 from tests.services.installation import Installation
+from tests.services.postgresql import PostgresqlServer
 from tests.services.processes import Service, wait_until
 
 FAMILY = """
@@ -49,7 +51,7 @@ def family(tmp_path: Path) -> Iterator[Family]:
 def faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Give a folder in which points can be armed for this process."""
     monkeypatch.setenv(points.FOLDER_VARIABLE, str(tmp_path))
-    monkeypatch.setattr(points, "_live_points", {"scored", "enqueued"})
+    monkeypatch.setattr(points, "_live_points", {"scored", "enqueued", "commit_sent"})
     return tmp_path
 
 
@@ -87,6 +89,26 @@ def test_a_held_thread_goes_on_when_it_is_let_go(faults: Path) -> None:
     assert thread.is_alive()
     points.let_go(points.strikes(faults, "enqueued")[0])
     thread.join()
+
+
+def test_a_commit_is_struck_before_its_answer(postgresql: PostgresqlServer, faults: Path) -> None:
+    """At `commit_sent` the database has made the change, and the one who asked for it does not know yet."""
+    place = f"host=127.0.0.1 port={postgresql.port} user=cs3d dbname={postgresql.create_database()}"
+    asking, other = psycopg.connect(place), psycopg.connect(place, autocommit=True)
+    asking.execute("CREATE TABLE asked ()")
+    points.arm(faults, "commit_sent", Strike(hold=True))
+    steps = hooks.commit_reaching(asking, "commit_sent")
+    thread = threading.Thread(target=asking.wait, args=(steps,), daemon=True)
+    thread.start()
+    seen = "SELECT FROM pg_class WHERE relname = 'asked'"
+    wait_until(lambda: other.execute(seen).rowcount == 1, what="a change that the others see")
+    wait_until(lambda: points.strikes(faults, "commit_sent"), what="the strike")
+    assert asking.pgconn.transaction_status == psycopg.pq.TransactionStatus.ACTIVE
+    points.let_go(points.strikes(faults, "commit_sent")[0])
+    thread.join()
+    assert asking.pgconn.transaction_status == psycopg.pq.TransactionStatus.IDLE
+    other.close()
+    asking.close()
 
 
 @pytest.mark.parametrize("shape", ["embedded"], indirect=True)
