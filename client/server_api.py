@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 
-from evaluator.errors import BenchmarkError
+from evaluator.errors import BenchmarkError, UsageError
 
 BLOCK_BYTES = 1024 * 1024
 LONG_POLL_S = 20
@@ -19,6 +19,8 @@ TRIES = 4
 """A broken connection is tried again so often in all; the idempotency key keeps that from sending twice."""
 
 FIRST_PAUSE_S = 1.0
+
+_NO_ADDRESS = "--server is no address of a server; write it like https://benchmark.example.org."
 
 
 class ServerRefused(BenchmarkError):
@@ -48,10 +50,18 @@ class Server:
             url: Where the server is, for example `https://benchmark.example.org`.
             token: API token of a team's member.
             transport: Another way to reach it than the network.
+
+        Raises:
+            UsageError: These are no address and no token.
         """
+        if not (token.isascii() and token.isprintable()):
+            raise UsageError("the token has characters that no token has; copy it again from your account page.")
         headers = {"Authorization": f"Bearer {token}", "Accept": "application/json"}
         timeout = httpx.Timeout(60, read=LONG_POLL_S + 60)
-        self._http = httpx.Client(base_url=url.rstrip("/"), headers=headers, timeout=timeout, transport=transport)
+        try:
+            self._http = httpx.Client(base_url=url.rstrip("/"), headers=headers, timeout=timeout, transport=transport)
+        except httpx.InvalidURL as error:
+            raise UsageError(_NO_ADDRESS) from error
 
     def submit(self, archive: Path, fields: dict[str, str], sent: Callable[[int], None]) -> dict[str, Any]:
         """Upload a zip.
@@ -77,7 +87,7 @@ class Server:
                 "/api/v1/submissions", params=params, headers=headers, content=_blocks(archive, sent)
             )
 
-        return _checked(_persistently(send))
+        return _checked(_persistently(send), "id", "links")
 
     def follow(self, submission_id: str) -> Iterator[dict[str, Any]]:
         """Yield the submission now and after every change, until nothing changes by itself any more."""
@@ -86,7 +96,7 @@ class Server:
             answer = _persistently(partial(self._show, submission_id, etag))
             if answer.status_code == httpx.codes.NOT_MODIFIED:
                 continue
-            document = _checked(answer)
+            document = _checked(answer, "state", "terminal")
             etag = answer.headers.get("ETag", "")
             yield document
             if document["terminal"]:
@@ -102,7 +112,7 @@ class Server:
     def results(self, submission_id: str) -> bytes:
         """Fetch the scores of a scored submission as JSON."""
         answer = _persistently(lambda: self._http.get(f"/api/v1/submissions/{submission_id}/results"))
-        _checked(answer)
+        _checked(answer, "signature", "classes")
         return answer.content
 
 
@@ -127,11 +137,14 @@ def _persistently(ask: Callable[[], httpx.Response]) -> httpx.Response:
 
     Raises:
         ServerUnreachable: It never worked.
+        UsageError: It cannot work.
     """
     pause_s = FIRST_PAUSE_S
     for remaining in reversed(range(TRIES)):
         try:
             answer = ask()
+        except httpx.UnsupportedProtocol as error:
+            raise UsageError(_NO_ADDRESS) from error
         except httpx.TransportError as error:
             if not remaining:
                 message = f"cannot reach the server ({error!r}); check --server and the connection"
@@ -144,16 +157,21 @@ def _persistently(ask: Callable[[], httpx.Response]) -> httpx.Response:
     raise ServerUnreachable("cannot reach the server")
 
 
-def _checked(answer: httpx.Response) -> dict[str, Any]:
-    """Return the JSON of a good answer.
+def _checked(answer: httpx.Response, *expected: str) -> dict[str, Any]:
+    """Return the JSON object of a good answer, which has the expected keys.
 
     Raises:
-        ServerRefused: It is not a good answer.
+        ServerRefused: It is not a good answer, or not one of a benchmark server.
     """
     try:
-        document: dict[str, Any] = answer.json()
+        document = answer.json()
     except ValueError:
-        document = {"title": f"{answer.status_code} {answer.reason_phrase}", "detail": answer.text[:300]}
-    if not answer.is_success:
+        document = None
+    is_object = isinstance(document, dict)
+    if answer.is_success and is_object and document.keys() >= set(expected):
+        return dict(document)
+    if not answer.is_success and is_object:
         raise ServerRefused(document)
-    return document
+    said = f"{answer.status_code} {answer.reason_phrase}"
+    detail = f"no answer of a benchmark server, check --server: {said}: {answer.text[:300]}"
+    raise ServerRefused({"title": said, "detail": detail})

@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # everything heavy is imported when the command runs
 
 _IMAGE_NAME = re.compile(r"[^\s/_]+(?:_[^\s/_]+)*_\d+_\d+")
 """<city>_<sequence>_<frame>."""
+_SENSOR_ROWS = 3
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -87,6 +88,14 @@ def _checked(images: "ImageList", source: Path) -> "ImageList":
         raise UsageError(f"--images {source} names no image; write one <city>_<sequence>_<frame> in each line.")
     if len(set(images.images)) < len(images.images):
         raise UsageError(f"--images {source} names an image twice; name each once.")
+    counts = {len(images.intrinsics_px), len(images.sensor_from_vehicle)}
+    if counts not in ({0}, {len(images.images)}) or any(
+        len(rows) != _SENSOR_ROWS for rows in images.sensor_from_vehicle
+    ):
+        message = (
+            f"--images {source}: give intrinsics_px and sensor_from_vehicle (3 x 4) for every image, or both empty."
+        )
+        raise UsageError(message)
     return images
 
 

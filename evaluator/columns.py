@@ -11,6 +11,9 @@ from evaluator.predictions import Float64Array, IndexArray, Predictions
 from evaluator.record_table import encode_rows, floats, letter_codes, make_table
 from evaluator.value_ranges import Mask, rows_to_explain
 
+MOST_LABELS = 126
+"""Each has an ASCII letter, and so have all unknown ones together."""
+
 _RECORDS_IN_CACHE = 256
 """Records turned into rows at a time: as many as stay in the processor's cache since they were decoded."""
 
@@ -57,7 +60,7 @@ class ColumnBuilder:
         """Start empty.
 
         Args:
-            known_labels: fewer than 127, each once; `Columns.label_index` counts them.
+            known_labels: `MOST_LABELS` at most, each once; `Columns.label_index` counts them.
         """
         self._letters = {label: chr(number) for number, label in enumerate(known_labels)}
         self._records: list[Box] = []

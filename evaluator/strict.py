@@ -6,8 +6,9 @@ import numpy as np
 
 from evaluator.archive import MemberError, Source
 from evaluator.codes import Code
-from evaluator.columns import ColumnBuilder, Columns, concatenate
+from evaluator.columns import MOST_LABELS, ColumnBuilder, Columns, concatenate
 from evaluator.decoding import Box, count_colons, decode, extra_keys_are_clean, keys_are_expected
+from evaluator.errors import UsageError
 from evaluator.explanation import explain
 from evaluator.file_names import assign_files
 from evaluator.findings import Findings
@@ -28,12 +29,19 @@ class StrictReading:
     def __init__(
         self, files: Source, images: Sequence[str] | None, labels: tuple[str, ...], limits: Limits, findings: Findings
     ) -> None:
-        """Find each image's file."""
+        """Find each image's file.
+
+        Raises:
+            UsageError: There are too many labels.
+        """
         self._files = files
         self._labels = labels
         self._limits = limits
         self._findings = findings
         self.known_labels = frozenset((*VEHICLE_LABELS, *labels))
+        if len(self.known_labels) > MOST_LABELS:
+            own = MOST_LABELS - len(VEHICLE_LABELS)
+            raise UsageError(f"There are too many labels; name {own} at most beside those of the data set.")
         self._labels_in_order = (*labels, *sorted(self.known_labels - set(labels)))
         self.label_counts = np.zeros(len(self._labels_in_order), dtype=np.int64)
         self._explained: set[int] = set()

@@ -92,6 +92,15 @@ def test_compare_prints_difference_interval_and_p_value(benchmark: Path, capsys:
     assert last.endswith("p = 0.002")
 
 
+def test_too_many_labels_are_wrong_usage(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of 126 classes the data set has eight, so 119 others are one too many."""
+    labels = [str(number) for number in range(119)]
+
+    assert _evaluate(benchmark, "--labels", *labels) == 2
+    assert "name 118 at most" in capsys.readouterr().err
+    assert _evaluate(benchmark, "--labels", *labels[1:]) == 0
+
+
 @pytest.mark.parametrize("command", [["evaluate"], ["compare", "SECOND"]])
 def test_a_label_nobody_has_is_noted(benchmark: Path, capsys: pytest.CaptureFixture[str], command: list[str]) -> None:
     """`Car` is not `car`: the scores are n/a, and a note says why; no note on a label that is there."""

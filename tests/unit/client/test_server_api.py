@@ -10,8 +10,11 @@ import pytest
 
 from client import server_api
 from client.server_api import Server, ServerRefused, ServerUnreachable
+from evaluator.errors import UsageError
 
 Answer = Callable[[httpx.Request], httpx.Response]
+
+RECEIVED = {"id": "1", "links": {"page": "/submissions/1"}}
 
 
 @pytest.fixture(autouse=True)
@@ -34,9 +37,9 @@ def test_a_zip_is_sent_raw_with_its_digest(tmp_path: Path) -> None:
     def answer(request: httpx.Request) -> httpx.Response:
         request.read()
         seen.append(request)
-        return httpx.Response(202, json={"id": "1"})
+        return httpx.Response(202, json=RECEIVED)
 
-    assert _server(answer).submit(archive, {"phase": "test"}, sent.append) == {"id": "1"}
+    assert _server(answer).submit(archive, {"phase": "test"}, sent.append) == RECEIVED
     (request,) = seen
     assert request.content == b"zip"
     assert dict(request.url.params) == {"phase": "test", "file_name": "ours.zip"}
@@ -56,7 +59,7 @@ def test_a_broken_connection_is_tried_again_with_the_same_key(tmp_path: Path) ->
         keys.append(request.headers["Idempotency-Key"])
         if len(keys) == 1:
             raise httpx.ConnectError("refused")
-        return httpx.Response(202, json={"id": "1"})
+        return httpx.Response(202, json=RECEIVED)
 
     _server(answer).submit(archive, {}, lambda _: None)
     assert len(keys) == 2
@@ -89,6 +92,43 @@ def test_an_answer_that_is_not_json_is_shown() -> None:
     """A proxy's page becomes an error with its status."""
     with pytest.raises(ServerRefused, match="Bad gateway page"):
         _server(lambda _: httpx.Response(502, text="Bad gateway page")).results("1")
+
+
+@pytest.mark.parametrize(
+    ("status", "text"),
+    [(200, '{"x": 1}'), *((status, text) for status in (200, 502) for text in ("<html>", '"bad"', "[]", "null"))],
+)
+def test_an_answer_of_something_else_is_refused(status: int, text: str, tmp_path: Path) -> None:
+    """Whatever stands where a server was expected, its status and its words are shown; nothing is taken for an answer."""
+    archive = tmp_path / "ours.zip"
+    archive.write_bytes(b"zip")
+    server = _server(lambda _: httpx.Response(status, text=text))
+
+    for ask in (
+        lambda: next(server.follow("1")),
+        lambda: server.results("1"),
+        lambda: server.submit(archive, {}, print),
+    ):
+        with pytest.raises(ServerRefused) as refusal:
+            ask()
+        assert f"check --server: {status}" in str(refusal.value)
+        assert str(refusal.value).endswith(text)
+
+
+@pytest.mark.parametrize("url", ["localhost:9", "ftp://server.example", "http://server\n.example"])
+def test_what_is_no_address_is_wrong_usage(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is said at once, without another try."""
+    monkeypatch.setattr(server_api, "TRIES", 1)
+
+    with pytest.raises(UsageError, match="--server"):
+        Server(url, "cs3d_secret").results("1")
+
+
+@pytest.mark.parametrize("token", ["ä", "cs3d_x\n"])
+def test_what_is_no_token_is_wrong_usage(token: str) -> None:
+    """A header could not hold it."""
+    with pytest.raises(UsageError, match="token"):
+        Server("http://server.example", token)
 
 
 def test_following_waits_for_changes_until_the_end() -> None:

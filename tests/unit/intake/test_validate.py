@@ -129,6 +129,11 @@ def test_zipped_ground_truth_is_known_by_its_bytes(
         ('{"images": [], "intrinsics_px": [], "sensor_from_vehicle": []}', "names no image"),
         ('{"images": ["x"], "intrinsics_px": [], "sensor_from_vehicle": []}', "'x'"),
         (f'{{"images": {json.dumps([IMAGES[0]] * 2)}, "intrinsics_px": [], "sensor_from_vehicle": []}}', "twice"),
+        (f'{{"images": ["{IMAGES[0]}"], "intrinsics_px": [[1, 1, 0, 0]], "sensor_from_vehicle": []}}', "every image"),
+        (
+            f'{{"images": ["{IMAGES[0]}"], "intrinsics_px": [[1, 1, 0, 0]], "sensor_from_vehicle": [[[1, 0, 0, 0]]]}}',
+            "3 x 4",
+        ),
     ],
 )
 def test_other_texts_are_no_image_list(
