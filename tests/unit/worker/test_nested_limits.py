@@ -1,0 +1,24 @@
+"""Each limit on a task is only for the case that the one within it failed, so each is beyond the one before."""
+
+import pytest
+
+from server.queue import celery_app
+from server.settings import Settings
+from worker import app as worker_app
+
+
+@pytest.mark.parametrize("score_time_s", [0.5, 1.0, 600.0, 3600.0, 86400.0])
+def test_limits_are_nested(score_time_s: float) -> None:
+    """Scoring time < soft limit < hard limit < visibility timeout, and twice the scoring time fits into the soft limit.
+
+    A holder of shards runs up to two jobs in a row that may each take the scoring time: the last shard and the joining.
+    """
+    conf = celery_app(Settings(score_time_s=score_time_s)).conf
+    visibility_s = conf.broker_transport_options["visibility_timeout"]
+    assert 2 * score_time_s < conf.task_soft_time_limit < conf.task_time_limit < visibility_s
+
+
+def test_grown_pool_processes_are_replaced() -> None:
+    """A pool process has a bound on its memory, in KiB, that is far below that of the scoring process."""
+    kept_bytes = worker_app.app.conf.worker_max_memory_per_child * 1024
+    assert 0 < kept_bytes < worker_app.settings.score_memory_bytes
