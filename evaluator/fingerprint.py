@@ -6,11 +6,12 @@ estimates how many tokens two submissions share. Scores, sizes and angles do not
 """
 
 import hashlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.predictions import Predictions
+from evaluator.predictions import Float64Array, Predictions
 
 HASHES = 128
 CELL_M = 0.5
@@ -35,19 +36,29 @@ def fingerprint(predictions: Predictions) -> str:
 
 
 def similarity(first: str, second: str) -> float:
-    """Estimate how much of two submissions is the same.
+    """Estimate how much of two submissions is the same, as `similarities` does."""
+    return float(similarities(first, [second])[0])
+
+
+def similarities(one: str, others: Sequence[str]) -> Float64Array:
+    """Estimate how much of a submission is the same in each of others.
 
     Args:
-        first: a fingerprint.
-        second: another one.
+        one: a fingerprint.
+        others: more of them.
 
     Returns:
-        Share in [0, 1]: 1 for the same boxes, 0 for nothing in common or when one of them is empty.
+        (N,) shares in [0, 1]: 1 for the same boxes, 0 for nothing in common or when one of the two is empty.
     """
-    words = [text[at : at + 16] for text in (first, second) for at in range(0, 16 * HASHES, 16)]
-    if not first or not second:
-        return 0.0
-    return sum(a == b for a, b in zip(words[:HASHES], words[HASHES:], strict=True)) / HASHES
+    equal: Float64Array = np.mean(_hashes(others) == _hashes([one]), axis=1)
+    return equal * bool(one)
+
+
+def _hashes(fingerprints: Sequence[str]) -> NDArray[np.bytes_]:
+    """Separate the hash values of fingerprints, (N, 128), each as its 16 digits; of an empty one they equal none."""
+    width = 16 * HASHES
+    text = "".join(fingerprint.ljust(width, "-") for fingerprint in fingerprints)
+    return np.frombuffer(text.encode(), dtype="S16").reshape(-1, HASHES)
 
 
 def _tokens(predictions: Predictions) -> Words:

@@ -9,11 +9,14 @@ import msgspec
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from evaluator.fingerprint import similarity
+from evaluator.fingerprint import similarities
 from evaluator.integrity import SIMILARITY_LIMIT, IntegrityAudit
 from server import audit
 from server.errors import Conflict
 from server.models import Score, Submission
+
+BATCH = 1000
+"""Fingerprints, of 2 kB each, that are held in memory at a time."""
 
 COPIED = "The predictions are nearly identical to a submission of another team."
 
@@ -62,23 +65,25 @@ def release(session: Session, submission: Submission, actor: str) -> None:
 
 
 def _twin(session: Session, submission: Submission, fingerprint: str) -> uuid.UUID | None:
-    """Find the first scored submission of another team in the same phase whose predictions are nearly the same."""
-    # The audits alone: the scores beside them are a hundred times as large, and this holds the writers' lock.
+    """Find the first submission of another team in the same phase whose predictions are nearly the same."""
+    # This holds the writers' lock. A fingerprint is of the predictions, so one score of each submission will do; and no
+    # more of it than that: the rest is a hundred times as large.
+    latest = sa.select(sa.func.max(Score.id)).group_by(Score.submission_id)
     query = (
-        sa.select(Score.submission_id, Score.integrity)
+        sa.select(Submission.id, Score.integrity["fingerprint"].as_string())
         .join(Score.submission)
         .where(
             Submission.phase_id == submission.phase_id,
             Submission.team_id != submission.team_id,
-            Score.integrity.is_not(None),
+            Score.id.in_(latest),
         )
-        .order_by(Score.id)
+        .order_by(Submission.created_at, Submission.id)
+        .execution_options(yield_per=BATCH)
     )
-    return next(
-        (
-            other
-            for other, findings in session.execute(query)
-            if findings and similarity(fingerprint, findings["fingerprint"]) > SIMILARITY_LIMIT
-        ),
-        None,
-    )
+    with session.execute(query) as found:
+        for batch in found.partitions():
+            alike = similarities(fingerprint, [other or "" for _, other in batch]) > SIMILARITY_LIMIT
+            if alike.any():
+                twin: uuid.UUID = batch[int(alike.argmax())][0]
+                return twin
+    return None
