@@ -21,7 +21,7 @@ from evaluator.confidence import (
     require_level,
 )
 from evaluator.errors import UsageError
-from evaluator.interval_rules import sufficient
+from evaluator.interval_rules import FEWEST_UNITS, sufficient
 from evaluator.predictions import Float64Array
 from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, replicate
 from evaluator.resampling import Unit, bootstrap_weights, leave_one_out
@@ -122,13 +122,16 @@ def intervals(
         by_depth: Give those of the depth bins, too.
 
     Returns:
-        The intervals.
+        The intervals; none at all below `FEWEST_UNITS`, where nothing is drawn.
 
     Raises:
         UsageError: Nothing can be drawn in this way, or the level is none.
     """
     require_level(level)
-    found = bootstrap(statistics, resamples=resamples, seed=seed, unit=unit, method=method, by_depth=by_depth)
+    if leave_one_out(statistics.images, unit=unit).units < FEWEST_UNITS:
+        found = _undrawn(statistics, unit=unit, by_depth=by_depth)
+    else:
+        found = bootstrap(statistics, resamples=resamples, seed=seed, unit=unit, method=method, by_depth=by_depth)
     means, classes, depth_bins = named_intervals(statistics, found, level)
     return Uncertainty(
         level=level,
@@ -140,6 +143,14 @@ def intervals(
         classes=classes,
         depth_bins=depth_bins,
     )
+
+
+def _undrawn(statistics: Statistics, *, unit: Unit, by_depth: bool) -> Bootstrap:
+    """Return the scores of what has too few images to be resampled; no interval comes of it."""
+    ones = np.ones((1, len(statistics.images)), dtype=np.float32)
+    estimate = replicate(statistics, ones, by_depth=by_depth)
+    units = leave_one_out(statistics.images, unit=unit).units
+    return Bootstrap(estimate=estimate, drawn=estimate, left_out=None, units=units)
 
 
 def named_intervals(
@@ -223,11 +234,14 @@ def compare(
     """
     if (first.images, first.protocol) != (second.images, second.protocol):
         raise UsageError("Only submissions evaluated on the same images under the same protocol can be compared.")
-    weights = bootstrap_weights(first.images, resamples=resamples, seed=seed, unit=unit)
+    require_level(level)
     ones = np.ones((1, len(first.images)), dtype=np.float32)
     units = leave_one_out(first.images, unit=unit).units
     scores = replicate(first, ones), replicate(second, ones)
     known = sufficient(first, scores[0], units)[0] & sufficient(second, scores[1], units)[0]
+    if not known.any():
+        return dict.fromkeys(MEANS)
+    weights = bootstrap_weights(first.images, resamples=resamples, seed=seed, unit=unit)
     estimate = scores[0].means[0] - scores[1].means[0]
     drawn = replicate(first, weights).means - replicate(second, weights).means
     return {

@@ -92,6 +92,31 @@ def test_compare_prints_difference_interval_and_p_value(benchmark: Path, capsys:
     assert last.endswith("p = 0.002")
 
 
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (["evaluate", "--intervals"], "n/a: too few images"),
+        (["compare", "{folder}/pred"], "n/a, there are too few images"),
+    ],
+)
+def test_one_image_has_scores_without_intervals(
+    command: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """There is nothing to resample, but the scores are printed."""
+    files = synthesize_ground_truth(1, seed=1)
+    for name, content in (("gt", files), ("pred", synthesize_predictions(files, QUALITIES[0], 2, 20))):
+        (tmp_path / name).mkdir()
+        for file, data in content.items():
+            (tmp_path / name / file).write_bytes(data)
+
+    arguments = [part.format(folder=tmp_path) for part in command]
+    assert main([*arguments, "--gt", str(tmp_path / "gt"), str(tmp_path / "pred")]) == 0
+
+    printed = capsys.readouterr().out
+    assert said in printed
+    assert "mDS " in printed
+
+
 def test_too_many_labels_are_wrong_usage(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of 126 classes the data set has eight, so 119 others are one too many."""
     labels = [str(number) for number in range(119)]
