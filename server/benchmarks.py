@@ -266,7 +266,8 @@ def enforce_if_possible(session: Session, phase: Phase, version: GroundTruthVers
     Returns:
         True when it is in force.
     """
-    possible = not _is_rescored(session, phase) and not _published_without_score(session, phase, version)
+    # The first locks the phase, so no re-scoring of it begins after the second has looked.
+    possible = not _published_without_score(session, phase, version) and not _is_rescored(session, phase)
     if possible:
         enforce_ground_truth(session, phase, version, actor=actor)
     return possible

@@ -34,7 +34,11 @@ def retry(session: Session, rescoring: Rescoring, actor: str, submission_id: uui
 
     Returns:
         The items that wait again.
+
+    Raises:
+        Conflict: It has ended meanwhile.
     """
+    _lock_running(session, rescoring)
     states = (FAILED,) if submission_id is None else (FAILED, EXCLUDED)
     query = sa.select(RescoringItem).where(RescoringItem.rescoring_id == rescoring.id, RescoringItem.state.in_(states))
     if submission_id is not None:
@@ -58,10 +62,11 @@ def exclude(session: Session, rescoring: Rescoring, submission_id: uuid.UUID, re
     Raises:
         NotFound: The re-scoring is not about it.
         InvalidField: No reason is given.
-        Conflict: It has its score, or a worker holds it.
+        Conflict: It has its score, or a worker holds it, or the re-scoring has ended meanwhile.
     """
     if not reason.strip():
         raise InvalidField("reason: say why it shall not rank; its team reads it")
+    _lock_running(session, rescoring)
     query = sa.select(RescoringItem).where(
         RescoringItem.rescoring_id == rescoring.id, RescoringItem.submission_id == submission_id
     )
@@ -142,6 +147,15 @@ def discard(session: Session, phase: Phase, actor: str) -> Rescoring:
     session.execute(held.values(state=WAITING, lease_expires_at=None))
     record(session, rescoring, "discarded", actor)
     return rescoring
+
+
+def _lock_running(session: Session, rescoring: Rescoring) -> None:
+    """Keep a re-scoring from ending: what is decided about its items counts only until it ends."""
+    query = sa.select(Rescoring).where(Rescoring.id == rescoring.id).with_for_update()
+    session.scalar(query.execution_options(populate_existing=True))
+    if rescoring.state is not RescoringState.RUNNING:
+        message = f"the re-scoring was {rescoring.state} meanwhile; nothing was changed"
+        raise Conflict(message)
 
 
 def _end(session: Session, rescoring: Rescoring, state: RescoringState) -> None:

@@ -1,11 +1,15 @@
 """What maintainers decide at the same time does not undo one another. On PostgreSQL; SQLite has one writer at a time."""
 
-import pytest
+from collections.abc import Callable
 
-from server import integrity, submissions
+import pytest
+from sqlalchemy.orm import Session
+
+from server import benchmarks, integrity, rescoring, rescoring_decisions, submissions
 from server.errors import Conflict
+from server.models import GroundTruthVersion, Phase, Rescoring
 from tests.integration.record.test_lock_order import sandbox
-from tests.integration.record.three_methods import Rescored
+from tests.integration.record.three_methods import Rescored, second_ground_truth
 from tests.services.installation import Installation
 from worker.sandbox import Sandbox
 
@@ -30,3 +34,49 @@ def test_a_release_does_not_lift_a_hold_it_has_not_seen(installation: Installati
     with services.transaction() as session:
         integrity.release(session, submissions.find(session, key), "admin:one")
     assert installation.load(key).held_reason is None
+
+
+@pytest.mark.parametrize("ending", [rescoring_decisions.publish, rescoring_decisions.discard])
+def test_nothing_is_decided_about_a_rescoring_that_ended(
+    installation: Installation, sandbox: Sandbox, ending: Callable[[Session, Phase, str], Rescoring]
+) -> None:
+    """One maintainer takes an exclusion back or excludes while another ends the re-scoring: the first one is refused."""
+    rescored = Rescored(installation, sandbox)
+    key = rescored.add("rough")
+    rescored.start()
+    services = installation.services
+    with services.transaction() as session:
+        one = rescoring.get_running(session, rescored.phase(session))
+        rescoring_decisions.exclude(session, one, key, "its camera was wrong", "admin:one")
+    with services.transaction() as session:
+        one = rescoring.get_running(session, rescored.phase(session))
+        with services.transaction() as other:
+            ending(other, rescored.phase(other), "admin:two")
+        with pytest.raises(Conflict, match="meanwhile"):
+            rescoring_decisions.retry(session, one, "admin:one", key)
+        with pytest.raises(Conflict, match="meanwhile"):
+            rescoring_decisions.exclude(session, one, key, "its camera was wrong", "admin:one")
+
+
+def test_ground_truth_in_force_at_once_meets_a_rescoring(
+    installation: Installation, sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A re-scoring that begins while a version is imported keeps what it was begun to replace in force."""
+    rescored = Rescored(installation, sandbox)
+    rescored.add("complete", publish=False)
+    services = installation.services
+    prepared = benchmarks.prepare_ground_truth(services.blobs, second_ground_truth(installation.folder))
+    count = benchmarks._published_without_score
+
+    def begin_first(session: Session, phase: Phase, version: GroundTruthVersion) -> int:
+        with services.transaction() as other:
+            rescoring.start(other, phase=rescored.phase(other), protocol="paper", actor="admin:two")
+        return count(session, phase, version)
+
+    monkeypatch.setattr(benchmarks, "_published_without_score", begin_first)
+    with services.transaction() as session:
+        phase = rescored.phase(session)
+        version = benchmarks.add_ground_truth(
+            session, services.blobs, phase=phase, prepared=prepared, actor="admin:one"
+        )
+        assert not benchmarks.enforce_if_possible(session, phase, version, actor="admin:one")
