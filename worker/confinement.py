@@ -21,7 +21,7 @@ DEVICES = ("/dev/null", "/dev/full")
 """Files that libraries, and tests of full disks, may write to."""
 
 _PR_SET_DUMPABLE, _PR_SET_SECCOMP, _PR_CAPBSET_DROP, _PR_SET_NO_NEW_PRIVS = 4, 22, 24, 38
-_CAP_DAC_READ_SEARCH = 2
+_CAP_DAC_OVERRIDE = 1
 _CAPABILITY_VERSION = 0x20080522
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _GET_VERSION = 1
@@ -110,12 +110,12 @@ def refuse_sockets() -> bool:
 def drop_privileges() -> None:
     """Give up all that root can do, and getting it back by executing a program.
 
-    Except for reading: a worker that runs as root may use a data folder that another user owns.
+    Except for files, which `confine_files` is for: a worker that runs as root may use a data folder that another user owns.
     """
     capability = 0
     while _prctl(_PR_CAPBSET_DROP, capability):
         capability += 1
-    kept = (ctypes.c_uint32 * 6)(1 << _CAP_DAC_READ_SEARCH, 1 << _CAP_DAC_READ_SEARCH)  # effective, permitted
+    kept = (ctypes.c_uint32 * 6)(1 << _CAP_DAC_OVERRIDE, 1 << _CAP_DAC_OVERRIDE)  # effective, permitted
     if not _capset(kept):
         _capset((ctypes.c_uint32 * 6)())  # it was not ours to keep
     _prctl(_PR_SET_NO_NEW_PRIVS, 1)
