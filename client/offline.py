@@ -99,7 +99,8 @@ def note_unknown_labels(statistics: Statistics) -> None:
     found = set((cells // statistics.grid[1]).tolist())
     for index, label in enumerate(statistics.labels):
         if index not in found:
-            print(f"note: no box in the ground truth or the predictions has the label {label!r}.", file=sys.stderr)
+            where = "in the ground truth, nor in the predictions outside ignore regions,"
+            print(f"note: no box {where} has the label {label!r}.", file=sys.stderr)
 
 
 def _evaluate(

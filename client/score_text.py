@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from client.text_table import UNDEFINED, aligned, number, percent
+from evaluator.interval_rules import can_be_resampled
 from evaluator.replicates import MEANS, METRICS
 from evaluator.results import Scores
 
@@ -47,8 +48,11 @@ def _last_lines(scores: Scores, uncertainty: "Uncertainty | None") -> list[str]:
     if uncertainty is None:
         return [line]
     level, drawn = f"{100 * uncertainty.level:g} %", f"{uncertainty.resamples} resamples of the {uncertainty.unit}s"
+    protocol, reason = scores.signature.protocol, "too few images or boxes"
+    if not can_be_resampled(protocol).all():
+        reason += f", and all but AP by the protocol {protocol.name}"
     return [
-        f"Second lines: {level} confidence intervals, {uncertainty.method}, {drawn}; n/a: too few images or boxes.",
+        f"Second lines: {level} confidence intervals, {uncertainty.method}, {drawn}; n/a: {reason}.",
         "",
         line,
     ]

@@ -66,8 +66,11 @@ class ScoreReplicates:
             ArrayFileError: The bytes are something else or are cut short.
         """
         raw, arrays = array_file.unpack(data)
-        facts = msgspec.convert(raw, _Facts)
-        mds = arrays.pop(MDS)
+        try:
+            facts, mds = msgspec.convert(raw, _Facts), arrays.pop(MDS)
+        except (msgspec.ValidationError, KeyError) as error:
+            message = "The array file does not hold replicates of a score; resample the statistics again."
+            raise array_file.ArrayFileError(message) from error
         return cls(draw=facts.draw, mds=mds, detection_scores=arrays, intervals=facts.intervals)
 
 

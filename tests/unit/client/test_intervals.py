@@ -66,6 +66,16 @@ def test_the_protocol_paper_has_intervals(benchmark: Path, capsys: pytest.Captur
     assert interval["lower"] < interval["estimate"] < interval["upper"]
 
 
+def test_the_table_says_why_there_is_no_interval(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Under the protocol `paper` it is the protocol, too, however many boxes there are."""
+    for protocol, reason in (
+        ("cityscapes3d", "n/a: too few images or boxes."),
+        ("paper", "n/a: too few images or boxes, and all but AP by the protocol paper."),
+    ):
+        assert _evaluate(benchmark, "--intervals", "--protocol", protocol) == 0
+        assert capsys.readouterr().out.splitlines()[-3].endswith(reason)
+
+
 def test_the_reference_format_has_no_place_for_intervals(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Asking for both is wrong usage."""
     assert _evaluate(benchmark, "--intervals", "--format", "cityscapes") == 2
@@ -133,4 +143,5 @@ def test_a_label_nobody_has_is_noted(benchmark: Path, capsys: pytest.CaptureFixt
     assert main([command[0], "--gt", str(benchmark / "gt.zip"), *paths, "--labels", "Car", "car"]) == 0
 
     notes = [line for line in capsys.readouterr().err.splitlines() if "has the label" in line]
-    assert notes == ["note: no box in the ground truth or the predictions has the label 'Car'."] * len(command)
+    note = "note: no box in the ground truth, nor in the predictions outside ignore regions, has the label 'Car'."
+    assert notes == [note] * len(command)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.array_file import ArrayFileError
+from evaluator.array_file import ArrayFileError, pack, unpack
 from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate
 from evaluator.ground_truth import read_ground_truth
@@ -74,6 +74,10 @@ def test_the_protocol_paper_has_no_replicates() -> None:
 
 
 def test_other_bytes_are_refused() -> None:
-    """An array file is needed."""
-    with pytest.raises(ArrayFileError):
-        ScoreReplicates.from_bytes(b"something else")
+    """An array file is needed, and one that holds replicates."""
+    facts, arrays = unpack(score_replicates(_evaluate(60).statistics, DRAW).to_bytes())
+    del arrays[MDS]
+
+    for data in (b"something else", _evaluate(2).statistics.to_bytes(), pack(facts, arrays)):
+        with pytest.raises(ArrayFileError):
+            ScoreReplicates.from_bytes(data)
