@@ -24,7 +24,7 @@ MET_S = 30.0
 REACHED_S = 300.0
 """With participants at work everything comes about within this, however slow the machine is."""
 
-EXTRA_S = 4.0
+EXTRA_S = 6.0
 """Longer than a lease and than the time after which a message is sent again."""
 
 

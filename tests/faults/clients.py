@@ -22,7 +22,10 @@ PATIENCE_S = 600.0
 """A participant who has no 202 after so long was let down, however slow the machine is."""
 
 BACKLOG = 10
-"""With so many submissions on their way participants take twice the time to think."""
+"""With so many submissions on their way participants take twice the time to think, with twice as many five times.
+
+A queue that is longer than workers can do in the time after which the sweeper sends messages again would only grow.
+"""
 
 ANSWERED_S = 180.0
 """No request hangs for longer."""
@@ -126,7 +129,7 @@ class Clients:
             self.unforeseen.append(f"{one.method} gave up: {error!r}")
 
     def _send_again_and_again(self, one: Participant, chance: random.Random) -> None:
-        while not self._stop.wait(self._pause_s * (1 + self._unfinished() / BACKLOG)):
+        while not self._stop.wait(self._pause_s * (1 + (self._unfinished() / BACKLOG) ** 2)):
             valid = chance.random() >= one.share_with_errors
             # Nobody sends the same bytes twice: what the sender says is then checked against one row.
             data = predictions(chance) if valid else predictions(chance, score=BEYOND_ONE + chance.random())

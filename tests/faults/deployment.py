@@ -42,7 +42,7 @@ CLOCKS_WRONG_BY_S = {"web": 1800, "worker0": -3600, "worker1": 3600, "scheduler"
 COPIES = 5
 """Of every message, whoever sends it."""
 TIMES: dict[str, Any] = {
-    "lease_s": LEASE_S, "heartbeat_s": 0.5, "sweep_s": 1.0, "resend_s": 3.0, "broker_timeout_s": 1.5,
+    "lease_s": LEASE_S, "heartbeat_s": 0.5, "sweep_s": 1.0, "resend_s": 5.0, "broker_timeout_s": 1.5,
     "disk_floor_bytes": 0, "worker_concurrency": 1,
 }  # fmt: skip
 
@@ -107,7 +107,9 @@ class Deployment:
         self.web = WebProcess(folder / "web", self.services.settings, application="tests.faults.web_app:application")
         self.web.extra = self._environment("web")
         self.workers = [self._worker(folder / f"worker{index}") for index in range(2)]
-        self.scheduler = Scheduler(folder / "scheduler", self.services.settings, self._environment("scheduler"))
+        # Its sweeps are urgent and come as often as any message: more of them at a time and slow workers did nothing else.
+        seldom = self.services.settings.model_copy(update={"sweep_s": COPIES * TIMES["sweep_s"]})
+        self.scheduler = Scheduler(folder / "scheduler", seldom, self._environment("scheduler"))
         self.fronts: tuple[Service, ...] = (self.web, *self.workers, self.scheduler)
         for front in self.fronts:
             self._started.append(front)
