@@ -52,8 +52,9 @@ def sufficient(statistics: Statistics, estimate: Replicates, units: int) -> tupl
 def can_be_resampled(protocol: Protocol) -> BoolArray:
     """Tell for which metrics of a class, in the order of `METRICS`, resamples scatter about the score.
 
-    The protocol `paper` integrates similarities up to the farthest true positive. A resample without it loses whole bins, so
-    almost all of them lie below the score, and detection scores and mDS with them.
+    The protocol `paper` averages similarities over all depth bins, one without true positives counting as nothing. A
+    resample that empties a thin bin loses it, and none fills an empty one, so almost all of them lie below the score, and
+    detection scores and mDS with them.
     """
     return np.array([protocol.name != PAPER.name or metric == "ap" for metric in METRICS])
 

@@ -79,8 +79,8 @@ def test_few_images_or_clusters_give_nothing() -> None:
     assert _given([1000] * 20)[1] == set(METRICS)
 
 
-def test_integrals_to_the_farthest_box_give_nothing_but_average_precision() -> None:
-    """Under the protocol `paper` a resample without the farthest true positive loses bins: only AP scatters about the score."""
+def test_integrals_over_the_whole_range_give_nothing_but_average_precision() -> None:
+    """Under the protocol `paper` a resample that empties any depth bin loses it: only AP scatters about the score."""
     statistics, estimate = _found([1000] * 20)
     means, classes, bins = sufficient(replace(statistics, protocol=PAPER), estimate, FEWEST_UNITS)
 
