@@ -111,11 +111,12 @@ def test_a_bad_archive_is_explained_on_the_form(stage: Stage) -> None:
 
 
 def test_pages_are_accessible_and_fit_a_phone(stage: Stage) -> None:
-    """No page has a barrier that axe-core knows, and none is wider than a phone, in the light and in the dark."""
+    """No page has a barrier that axe-core knows, or is wider than a phone, or breaks names from their marks."""
     submission_id = scored_and_published(stage)
     paths = {
         "home": "/",
         "leaderboard": BOARD,
+        "compare": f"{BOARD}/compare",
         "submission": f"/submissions/{submission_id}",
         "submissions": "/submissions",
         "submit": f"{BOARD}/submit",
@@ -132,9 +133,18 @@ def test_pages_are_accessible_and_fit_a_phone(stage: Stage) -> None:
                 visitor.open(path)
                 visitor.screenshot(f"{name}-{size}-{scheme}")
                 wider = [f"{visitor.width_px()} px wide"] if visitor.width_px() > viewport["width"] else []
-                if problems := [*visitor.barriers(), *wider]:
+                if problems := [*visitor.barriers(), *wider, *broken_names(visitor)]:
                     found[f"{name} {size} {scheme}"] = problems
     assert not found, json.dumps(found, indent=1)
+
+
+def broken_names(visitor: Visitor) -> list[str]:
+    """List the names of classes that stand on another line than their coloured marks."""
+    broken: list[str] = visitor.page.evaluate(
+        "[...document.querySelectorAll('.dot')].filter(one => one.getClientRects().length > 1)"
+        ".map(one => `${one.textContent} is broken from its mark`)"
+    )
+    return broken
 
 
 def test_keyboard_reaches_the_content_and_the_forms(stage: Stage) -> None:

@@ -192,6 +192,7 @@ def test_two_methods_are_compared(site: Site, archive: bytes, score: Score) -> N
     # The worst finds nothing: its mDS is 0, the difference all of the best one's.
     cells = re.findall(r'<td class="number">([^<]*)</td>', row[1])
     assert cells[:3] == [f"{mds:.2f}", "0.00", f"−{mds:.2f}"]
+    assert "the difference of mDS alone has an interval and a p-value" in page
     # Two images are too few to say how far the difference can be trusted.
     assert row[1].count('<span class="undefined">n/a</span>') == 2
     assert "n/a" in page
