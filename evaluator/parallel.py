@@ -35,6 +35,9 @@ from evaluator.strict import StrictReading
 
 _T = TypeVar("_T")
 
+FEWEST_IMAGES = 200
+"""With fewer a second process costs about what it saves."""
+
 _OWN_SHARE = 0.48
 """Of the images for the process that also computes the digest, so that both are done at the same time."""
 
@@ -76,12 +79,12 @@ def evaluate_file(
         ground_truth: What to evaluate against.
         protocol: The rules.
         ground_truth_sha256: For the signature.
-        split: Use two processes, where the system can fork.
+        split: Use two processes where it pays: from `FEWEST_IMAGES` on, if the system can fork.
 
     Returns:
         Scores and statistics, or the report on why there are none.
     """
-    if split and "fork" in get_all_start_methods():
+    if split and len(ground_truth.images) >= FEWEST_IMAGES and "fork" in get_all_start_methods():
         evaluation = _evaluate_in_halves(source, ground_truth, protocol, ground_truth_sha256)
         if evaluation is not None:
             return evaluation

@@ -2,11 +2,14 @@
 
 import json
 import zipfile
+from multiprocessing import get_context
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from evaluator import parallel
 from evaluator.ground_truth import GroundTruth, read_ground_truth
 from evaluator.parallel import evaluate_file, ground_truth_of
 from evaluator.protocol import CITYSCAPES3D
@@ -18,6 +21,12 @@ CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
 def ground_truth() -> GroundTruth:
     """Sixty images."""
     return read_ground_truth(CASE / "gt")
+
+
+@pytest.fixture(autouse=True)
+def _sixty_images_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two processes work on them, though one would be as fast."""
+    monkeypatch.setattr(parallel, "FEWEST_IMAGES", 60)
 
 
 def _zip(folder: Path, changes: dict[str, bytes]) -> Path:
@@ -38,6 +47,25 @@ def test_halves_give_the_same_bits(ground_truth: GroundTruth) -> None:
     assert two.statistics is not None
     assert one.statistics.to_bytes() == two.statistics.to_bytes()
     assert (one.scores, one.report, one.predictions_sha256) == (two.scores, two.report, two.predictions_sha256)
+
+
+@pytest.mark.parametrize(("fewest", "processes"), [(60, 1), (61, 0)])
+def test_few_images_need_no_second_process(
+    ground_truth: GroundTruth, monkeypatch: pytest.MonkeyPatch, fewest: int, processes: int
+) -> None:
+    """Where it does not pay, none is started."""
+    started: list[str] = []
+
+    def counting(method: str) -> BaseContext:
+        started.append(method)
+        return get_context(method)
+
+    monkeypatch.setattr(parallel, "get_context", counting)
+    monkeypatch.setattr(parallel, "FEWEST_IMAGES", fewest)
+
+    evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=True)
+
+    assert len(started) == processes
 
 
 def test_boxes_left_out_are_counted_over_both_halves(ground_truth: GroundTruth, tmp_path: Path) -> None:
