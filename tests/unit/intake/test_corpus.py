@@ -77,6 +77,16 @@ def test_quick_check_refuses_nothing_that_reading_accepts(path: Path) -> None:
     assert codes <= set(expected_codes(path))
 
 
+@pytest.mark.parametrize("path", ARCHIVES, ids=lambda path: f"{path.parent.name}-{path.name.split('.')[0]}")
+def test_quick_check_finds_what_the_documentation_says(path: Path) -> None:
+    """Codes from `not_a_zip` to `file_too_large`, and sizes that are contradicted; of these two need the contents, too."""
+    order = list(Code)
+    at_the_door = set(order[order.index(Code.NOT_A_ZIP) : order.index(Code.FILE_TOO_LARGE) + 1])
+    codes = {group.code for group in check_archive(path).groups}
+    assert codes <= at_the_door | {Code.SIZE_MISMATCH}
+    assert at_the_door & set(expected_codes(path)) - codes <= {Code.EMPTY_ARCHIVE, Code.NESTED_ARCHIVE}
+
+
 @pytest.mark.parametrize("path", PREDICTIONS, ids=lambda path: f"{path.parent.name}-{path.name.split('.')[0]}")
 def test_prediction_file(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Reading a file gives exactly the codes in its name, each located, and so does the command line."""
