@@ -43,13 +43,13 @@ def receive(
     if not is_member(session, team_id=team.id, user_id=user.id):
         message = f"{user.email} is not in team {team.slug}; ask a maintainer to add you"
         raise Forbidden(message)
+    record_blob(session, _blobs_of(session), predictions_sha256, size_bytes)
     quota.lock_team(session, team.id)
     request = (phase.id, team.id, method_slug, predictions_sha256)
     if idempotency_key and (known := replayed(session, user.id, idempotency_key, request)):
         return known
     check_open(session, phase)
     quota.check(session, team=team, phase=phase)
-    record_blob(session, _blobs_of(session), predictions_sha256, size_bytes)
     at = database.now(session)
     shown = (method_name or method_slug, method_description)
     submission = Submission(

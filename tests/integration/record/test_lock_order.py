@@ -8,7 +8,7 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from server import lifecycle, rescoring, rescoring_decisions, submissions
+from server import lifecycle, quota, rescoring, rescoring_decisions, submissions
 from server.errors import NotScored, ServerError
 from server.models import Submission
 from tests.integration.record.three_methods import Rescored
@@ -78,6 +78,21 @@ def test_a_refund_meets_a_publication(installation: Installation) -> None:
         lambda session: lifecycle.cancel(session, submission_id, actor="user:1"),
     )
     assert isinstance(refusal, NotScored)
+
+
+def test_a_submission_is_received_while_its_team_is_locked(installation: Installation) -> None:
+    """Its blob's row is written before it waits for the team: the sweeper of files, which locks that table, goes first."""
+    thread = threading.Thread(target=installation.submit, kwargs={"enqueue": False})
+    writers = sa.text(
+        "SELECT count(*) FROM pg_locks JOIN pg_database ON pg_database.oid = database AND datname = current_database()"
+        " WHERE relation = 'blob'::regclass AND mode = 'RowExclusiveLock' AND granted"
+    )
+    with installation.services.transaction() as session:
+        quota.lock_team(session, installation.team.id)
+        thread.start()
+        wait_until(lambda: _waiting(installation), what="the upload to wait for its team")
+        assert session.scalar(writers) == 1
+    thread.join()
 
 
 def test_putting_a_rescoring_in_force_meets_a_publication(installation: Installation, sandbox: Sandbox) -> None:
