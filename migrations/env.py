@@ -2,7 +2,7 @@
 
 Migrations are one transaction on both databases, so a migration that fails changes nothing. Two processes that
 migrate at once wait for each other: SQLite by its write lock, PostgreSQL by an advisory lock. On PostgreSQL a
-migration gives up after five seconds of waiting for a table's lock instead of blocking everybody behind it.
+migration gives up waiting for a table's lock after `MIGRATION_LOCK_TIMEOUT` instead of blocking everybody behind it.
 """
 
 import sqlalchemy as sa
@@ -28,7 +28,7 @@ def run_on(connection: sa.Connection) -> None:
     with connection.begin():
         if connection.dialect.name == "postgresql":
             connection.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
-            connection.execute(sa.text("SET LOCAL lock_timeout = '5s'"))
+            connection.execute(sa.text(f"SET LOCAL lock_timeout = '{database.MIGRATION_LOCK_TIMEOUT}'"))
         context.run_migrations()
 
 

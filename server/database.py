@@ -33,6 +33,12 @@ BOUNDS = {
 }
 """PostgreSQL: nothing waits for ever, and a process that freezes within a transaction does not keep its locks."""
 
+MIGRATION_LOCK_TIMEOUT = "5s"
+"""PostgreSQL: how long a migration waits for a table; everybody who comes after it waits behind it."""
+
+LOCK_NOT_AVAILABLE = "55P03"
+"""PostgreSQL's code for a lock that was waited for in vain."""
+
 READ_ONLY = "cs3d_read_only"
 """Execution option of the engine used for snapshots."""
 
@@ -145,11 +151,24 @@ def alembic_config(connection: sa.Connection) -> "alembic.config.Config":
 
 
 def migrate(engine: sa.Engine, revision: str = "head") -> None:
-    """Bring the schema to `revision`; safe to run from several processes at once."""
+    """Bring the schema to `revision`; safe to run from several processes at once.
+
+    Raises:
+        Unavailable: On PostgreSQL others use a table for longer than a migration waits; nothing was changed.
+    """
     import alembic.command  # noqa: PLC0415 - see above
 
-    with engine.connect() as connection:
-        alembic.command.upgrade(alembic_config(connection), revision)
+    try:
+        with engine.connect() as connection:
+            alembic.command.upgrade(alembic_config(connection), revision)
+    except sa.exc.OperationalError as error:
+        if getattr(error.orig, "sqlstate", None) != LOCK_NOT_AVAILABLE:
+            raise
+        message = (
+            f"a table was in use for longer than {MIGRATION_LOCK_TIMEOUT}; nothing was changed. Wait for backups, checks"
+            " and other migrations to end, or stop the server, and migrate again"
+        )
+        raise Unavailable(message) from error
 
 
 def downgrade(engine: sa.Engine, revision: str) -> None:

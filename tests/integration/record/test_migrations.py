@@ -9,6 +9,7 @@ import pytest
 import sqlalchemy as sa
 
 from server import database
+from server.errors import Unavailable
 from server.settings import Settings
 from tests.services.fixtures import Shape
 from tests.services.postgresql import PostgresqlServer
@@ -32,6 +33,22 @@ def test_up_down_up_without_drift(empty_database: str) -> None:
     database.check_drift(engine)
     database.downgrade(engine, "base")
     assert sa.inspect(engine).get_table_names() == ["alembic_version"]
+    database.migrate(engine)
+    database.check_drift(engine)
+    engine.dispose()
+
+
+@pytest.mark.parametrize("shape", ["scale_out"])
+def test_a_migration_gives_up_waiting_for_a_table(empty_database: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While a table is in use a migration of it ends with the cause, changes nothing, and succeeds afterwards."""
+    engine = database.create_engine(empty_database)
+    database.migrate(engine, "0003")  # the one after it adds a column to phases
+    monkeypatch.setattr(database, "MIGRATION_LOCK_TIMEOUT", "50ms")
+    with engine.begin() as reader:
+        reader.execute(sa.text("SELECT count(*) FROM phase"))
+        with pytest.raises(Unavailable, match="in use for longer than 50ms"):
+            database.migrate(engine)
+        assert reader.scalar(sa.text("SELECT version_num FROM alembic_version")) == "0003"
     database.migrate(engine)
     database.check_drift(engine)
     engine.dispose()
