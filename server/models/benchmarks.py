@@ -47,7 +47,7 @@ class Phase(Base):
     rejections_per_day: Mapped[int] = mapped_column(default=50)
     """Rejected or cancelled uploads of a team in any 24 hours."""
     max_attempts: Mapped[int] = mapped_column(default=3)
-    """Claims by workers before a submission is failed."""
+    """Attempts that may be lost, by a lease that ran out or a scoring process that died, before a submission is failed."""
     shards: Mapped[int] = mapped_column(default=1)
     """Into how many ranges of images a submission is divided to be scored by several workers; 1: it is not."""
     ground_truth_id: Mapped[int | None] = mapped_column(

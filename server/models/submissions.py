@@ -106,7 +106,7 @@ class Submission(Base):
     enqueued_at: Mapped[datetime | None]
     """When a message was last sent; the sweeper sends again what stays unclaimed."""
     stage: Mapped[str | None] = mapped_column(sa.String(32))
-    """What the worker is doing: `validating`, `scoring`, `recording`."""
+    """What the worker is doing: `validating` or `scoring`; None while no worker holds it."""
     images_done: Mapped[int] = mapped_column(default=0)
     images_total: Mapped[int] = mapped_column(default=0)
 
