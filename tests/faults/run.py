@@ -18,13 +18,14 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 import sqlalchemy as sa
 
+from server.errors import Unavailable
 from server.models import Submission, SubmissionState
 from tests.faults import attacks, diagnosis, disk, plan
 from tests.faults.clients import Clients
@@ -160,8 +161,10 @@ def _settle(deployment: Deployment, stuck_s: float) -> Iterator[str]:
     moved_s = time.monotonic()
     while left and time.monotonic() - moved_s < stuck_s:
         time.sleep(0.2)
-        before, left = left, deployment.unfinished()
-        if left.keys() != before.keys():
+        before = left.keys()
+        with suppress(Unavailable):  # it is asked again in a moment
+            left = deployment.unfinished()
+        if left.keys() != before:
             moved_s = time.monotonic()
     for submission_id, state in left.items():
         yield f"{submission_id} is stuck in {state}"
