@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import sqlalchemy as sa
@@ -44,10 +45,20 @@ def test_a_migration_gives_up_waiting_for_a_table(empty_database: str, monkeypat
     engine = database.create_engine(empty_database)
     database.migrate(engine, "0003")  # the one after it adds a column to phases
     monkeypatch.setattr(database, "MIGRATION_LOCK_TIMEOUT", "50ms")
+    patience: list[str] = []
+
+    def look(connection: sa.Connection, cursor: Any, statement: str, *_: object) -> None:
+        del connection
+        if statement.startswith("ALTER TABLE phase"):
+            cursor.execute("SHOW lock_timeout")
+            patience.extend(cursor.fetchone())
+
+    sa.event.listen(engine, "before_cursor_execute", look)
     with engine.begin() as reader:
         reader.execute(sa.text("SELECT count(*) FROM phase"))
         with pytest.raises(Unavailable, match="in use for longer than 50ms"):
             database.migrate(engine)
+        assert patience == ["50ms"]
         assert reader.scalar(sa.text("SELECT version_num FROM alembic_version")) == "0003"
     database.migrate(engine)
     database.check_drift(engine)
