@@ -66,8 +66,13 @@ def shape(request: pytest.FixtureRequest) -> Shape:
 @pytest.fixture
 def shape_settings(shape: Shape, tmp_path: Path, request: pytest.FixtureRequest) -> dict[str, Any]:
     """Give what the shape sets, with its database migrated and its bucket made."""
+    return settings_of(shape, tmp_path, request)
+
+
+def settings_of(shape: Shape, folder: Path, request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Do the same for a fixture of a wider scope, whose data are in `folder`."""
     if shape == "embedded":
-        settings = Settings(data_dir=tmp_path / "data")
+        settings = Settings(data_dir=folder / "data")
         engine = database.create_engine(settings.database)
         database.migrate(engine)
         engine.dispose()
