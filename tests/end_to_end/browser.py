@@ -10,16 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import BrowserContext, Page, sync_playwright
+from playwright.sync_api import BrowserContext, Locator, Page, sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
-ARTIFACTS = ROOT / "artifacts"
+ARTIFACTS = Path(os.environ.get("CS3D_PICTURES") or ROOT / "artifacts")
+"""Where pictures go, which is no part of the tree unless somebody wants to renew one of the documentation."""
 AXE = ROOT / ".cache" / "axe" / "node_modules" / "axe-core" / "axe.min.js"
 
 ARGUMENTS = ("--no-sandbox", "--disable-background-networking", "--disable-dev-shm-usage", "--disable-gpu")
 
 WIDE = {"width": 1440, "height": 900}
 PHONE = {"width": 360, "height": 740}
+AIR_PX = 24
 
 
 def missing(what: str) -> None:
@@ -74,11 +76,15 @@ class Visitor:
         self.page.get_by_role("button", name="Log in").click()
         self.page.get_by_role("button", name="Log out").wait_for()
 
-    def screenshot(self, name: str) -> Path:
-        """Keep a picture of the whole page."""
+    def screenshot(self, name: str, *, down_to: Locator | None = None) -> Path:
+        """Keep a picture of the whole page, or of its upper part with an element and a little air below."""
         ARTIFACTS.mkdir(exist_ok=True)
         path = ARTIFACTS / f"{name}.png"
-        self.page.screenshot(path=path, full_page=True)
+        box = down_to.bounding_box() if down_to else None
+        upper: Any = (
+            {"x": 0, "y": 0, "width": WIDE["width"], "height": box["y"] + box["height"] + AIR_PX} if box else None
+        )
+        self.page.screenshot(path=path, full_page=True, clip=upper)
         return path
 
     def width_px(self) -> int:

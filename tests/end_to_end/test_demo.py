@@ -15,7 +15,8 @@ from typing import Any
 import psutil
 import pytest
 
-from tests.services.processes import wait_until
+from tests.end_to_end.browser import Visitor, browsing, chromium
+from tests.services.processes import free_port, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 ADMIN = [sys.executable, "-m", "server.admin.main"]
@@ -78,38 +79,65 @@ def test_no_child_is_left(first_run: dict[str, Any], data_dir: Path) -> None:
     assert _processes_of(data_dir) == []
 
 
-def test_a_second_start_finds_its_data_and_serves_until_it_is_stopped(
-    first_run: dict[str, Any], data_dir: Path, tmp_path: Path
-) -> None:
-    """On a port that is taken it uses another; the submissions are the same; `cs3d submit` works; Ctrl-C ends all."""
-    output = tmp_path / "output"
-    with _port_taken() as port, output.open("w") as stream:
+@contextmanager
+def _serving(data_dir: Path, port: int, output: Path) -> Iterator[str]:
+    """Start the demo without --exit; give what it said when it serves; end it as Ctrl-C does."""
+    with output.open("w") as stream:
         command = [*ADMIN, "demo", "--data-dir", str(data_dir), "--port", str(port)]
         demo = subprocess.Popen(command, cwd=ROOT, stdout=stream, stderr=stream)
         try:
             wait_until(lambda: "Ctrl-C stops" in output.read_text(), timeout_s=120, what="the demo serves")
-            said = output.read_text()
-            assert f"Port {port} is taken" in said
-            assert first_run["login"]["password"] in said
-            _submit_again(said, data_dir)
-            assert len(_processes_of(data_dir)) >= 4  # broker, web, worker and its pool
+            yield output.read_text()
         finally:
             demo.send_signal(signal.SIGINT)
             assert demo.wait(60) == 0
+
+
+def test_a_second_start_finds_its_data_and_serves_until_it_is_stopped(
+    first_run: dict[str, Any], data_dir: Path, tmp_path: Path
+) -> None:
+    """On a port that is taken it uses another; the submissions are the same; `cs3d submit` works; Ctrl-C ends all."""
+    with _port_taken() as port, _serving(data_dir, port, tmp_path / "output") as said:
+        assert f"Port {port} is taken" in said
+        assert first_run["login"]["password"] in said
+        _submit_again(said, data_dir)
+        assert len(_processes_of(data_dir)) >= 4  # broker, web, worker and its pool
     assert _processes_of(data_dir) == []
+
+
+def test_the_leaderboard_shows_how_far_it_can_be_trusted(tmp_path: Path) -> None:
+    """Once the worker has resampled the images, each mDS has its interval: the picture in the README."""
+    chromium()
+    serving = _serving(tmp_path / "data", free_port(), tmp_path / "output")
+    with serving as said, browsing(_url(said)) as visitor:
+        wait_until(lambda: _intervals(visitor) == 3, timeout_s=300, what="three scores are resampled")
+        assert visitor.page.get_by_role("link", name="Compare").is_visible()
+        visitor.screenshot("leaderboard", down_to=visitor.page.get_by_role("table").first)
+
+
+def _intervals(visitor: Visitor) -> int:
+    """Open the demo's leaderboard and count the intervals below its scores, such as 59.0-75.7 with a long dash."""
+    visitor.open("/benchmarks/cityscapes3d/test")
+    visitor.page.wait_for_timeout(500)
+    return len(re.findall(r"\b\d+\.\d\N{EN DASH}\d+\.\d\b", visitor.page.get_by_role("table").first.inner_text()))
+
+
+def _url(said: str) -> str:
+    """Read where the demo serves."""
+    found = re.search(r"Serving (http://127\.0\.0\.1:\d+)", said)
+    assert found is not None
+    return found[1]
 
 
 def _submit_again(said: str, data_dir: Path) -> None:
     """Send one of the demo's zips as a method of its own and wait for the scores."""
-    found = re.search(r"Serving (http://127\.0\.0\.1:\d+)", said)
-    assert found is not None
     tokens = json.loads((data_dir / "demo.json").read_text())["tokens"]
     archive = data_dir / "synthetic" / "val" / "mono-lift.zip"
     target = ["--benchmark", "cityscapes3d", "--phase", "val", "--method", "copy"]
     done = subprocess.run(
         [sys.executable, "-m", "client.main", "submit", str(archive), *target, "--check", "--wait", "--json"],
         cwd=ROOT,
-        env={**os.environ, "CS3D_SERVER": found[1], "CS3D_TOKEN": tokens["borealis"]},
+        env={**os.environ, "CS3D_SERVER": _url(said), "CS3D_TOKEN": tokens["borealis"]},
         capture_output=True,
         text=True,
         check=False,
