@@ -36,7 +36,8 @@ class Child:
     environment: Mapping[str, str]
     is_ready: Callable[[], bool]
     """Asked after a start until it says yes."""
-    ready_within_s: float = 30.0
+    ready_within_s: float = 120.0
+    """A busy machine may need half a minute for the imports alone; a child that dies is noticed at once."""
     stop_within_s: float = 10.0
     """After so long, SIGTERM is followed by SIGKILL."""
     log_file: Path | None = None
