@@ -1,8 +1,10 @@
 """A whole installation in one of the two shapes, and rows to fill it with."""
 
 import io
+import json
 import uuid
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,18 @@ def zip_of(folder: Path) -> bytes:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.iterdir()):
             archive.write(path, path.name)
+    return buffer.getvalue()
+
+
+def with_boxes(archive: bytes, change: Callable[[dict[str, Any]], None]) -> bytes:
+    """Pack the same predictions with every 3D box changed in place."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(archive)) as source, zipfile.ZipFile(buffer, "w") as target:
+        for name in source.namelist():
+            document = json.loads(source.read(name))
+            for one in document["objects"]:
+                change(one["3d"])
+            target.writestr(name, json.dumps(document))
     return buffer.getvalue()
 
 

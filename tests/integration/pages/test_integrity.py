@@ -1,20 +1,19 @@
 """The integrity audit on a submission's page."""
 
-import io
-import json
-import zipfile
+from typing import Any
 
 import httpx
 
 from tests.integration.api.test_integrity import scored
 from tests.integration.pages.test_pages import Score, ann
 from tests.integration.site import Site
+from tests.services.installation import with_boxes
 
 
 def test_a_team_reads_that_its_boxes_face_backwards(site: Site, archive: bytes, score: Score) -> None:
     """Its own page says so and what to do; sound predictions are told nothing, and others see no audit."""
     sound = scored(site, site.token(), archive, score)
-    turned = scored(site, site.token(), _turned_round(archive), score)
+    turned = scored(site, site.token(), with_boxes(archive, _turn_round), score)
     with ann(site) as client:
         assert "face backwards. If" not in _page(client, sound)
         told = _page(client, turned)
@@ -28,14 +27,7 @@ def _page(client: httpx.Client, place: str) -> str:
     return client.get(place.removeprefix("/api/v1")).raise_for_status().text
 
 
-def _turned_round(archive: bytes) -> bytes:
-    """Turn every box about its own vertical axis: (w, x, y, z) times (0, 0, 0, 1) is (-z, y, -x, w)."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(archive)) as source, zipfile.ZipFile(buffer, "w") as target:
-        for name in source.namelist():
-            document = json.loads(source.read(name))
-            for box in document["objects"]:
-                w, x, y, z = box["3d"]["rotation"]
-                box["3d"]["rotation"] = [-z, y, -x, w]
-            target.writestr(name, json.dumps(document))
-    return buffer.getvalue()
+def _turn_round(box: dict[str, Any]) -> None:
+    """Turn a box about its own vertical axis: (w, x, y, z) times (0, 0, 0, 1) is (-z, y, -x, w)."""
+    w, x, y, z = box["rotation"]
+    box["rotation"] = [-z, y, -x, w]

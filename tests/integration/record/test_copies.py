@@ -1,10 +1,8 @@
 """How a submission is compared with those of other teams when its score is recorded, in both shapes."""
 
-import io
-import json
 import uuid
-import zipfile
 from collections.abc import Sequence
+from typing import Any
 
 import pytest
 
@@ -13,21 +11,15 @@ from evaluator.predictions import Float64Array
 from server import accounts, integrity, submissions
 from tests.integration.record.test_rescoring import rescored, sandbox
 from tests.integration.record.three_methods import Rescored, predictions
+from tests.services.installation import with_boxes
 from worker.evaluation import evaluate_submission
 
 __all__ = ["rescored", "sandbox"]
 
 
-def _moved(archive: bytes) -> bytes:
-    """Move every box by three metres, so that no cell of half a metre is shared."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(archive)) as source, zipfile.ZipFile(buffer, "w") as target:
-        for name in source.namelist():
-            content = json.loads(source.read(name))
-            for box in content["objects"]:
-                box["3d"]["center"][0] += 3.0
-            target.writestr(name, json.dumps(content))
-    return buffer.getvalue()
+def _move(box: dict[str, Any]) -> None:
+    """Move a box by three metres, so that no cell of half a metre is shared."""
+    box["center"][0] += 3.0
 
 
 def _score_for_others(rescored: Rescored, data: bytes) -> uuid.UUID:
@@ -65,7 +57,7 @@ def test_each_submission_is_compared_once(rescored: Rescored, monkeypatch: pytes
 
     monkeypatch.setattr(integrity, "similarities", counted)
     monkeypatch.setattr(integrity, "BATCH", 2)
-    moved = _score_for_others(rescored, _moved(predictions("complete")))
+    moved = _score_for_others(rescored, with_boxes(predictions("complete"), _move))
     assert batches == [2, 1]  # three submissions with two scores each
     assert rescored.installation.load(moved).held_reason is None
     copy = _score_for_others(rescored, predictions("complete"))
