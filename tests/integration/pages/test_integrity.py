@@ -17,7 +17,7 @@ def test_a_team_reads_that_its_boxes_face_backwards(site: Site, archive: bytes, 
     with ann(site) as client:
         assert "face backwards. If" not in _page(client, sound)
         told = _page(client, turned)
-        assert "<dt>matched boxes that face backwards</dt><dd>100.0</dd>" in told
+        assert "<dt>matched boxes that face backwards (%)</dt><dd>100.0</dd>" in told
         assert "turn every yaw by half a circle" in told
     with httpx.Client(base_url=site.url, timeout=30) as visitor:
         assert "backwards" not in visitor.get(turned.removeprefix("/api/v1")).text
