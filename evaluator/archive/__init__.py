@@ -1,7 +1,8 @@
 """Reading hostile zips and folders: framing, names and unpacking. What is inside the files is not its business."""
 
-from evaluator.archive.framing import Member, check_framing
+from evaluator.archive.framing import check_framing
 from evaluator.archive.inflate import MemberError, unpack
+from evaluator.archive.member import Member
 from evaluator.archive.names import is_passed_over
 from evaluator.archive.source import Source, digest, open_archive, open_source
 

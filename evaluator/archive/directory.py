@@ -7,12 +7,11 @@ import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from evaluator.archive.end_record import Archive, Directory
+from evaluator.archive.end_record import CENTRAL_SIGNATURE, Archive, Directory
 from evaluator.archive.framing_error import FramingError
 from evaluator.codes import Code
 
 _CENTRAL = struct.Struct("<4sHHHHHHIIIHHHHHII")  # 4.3.12
-_CENTRAL_SIGNATURE = b"PK\x01\x02"
 _EXTRA_FIELD = struct.Struct("<HH")  # 4.5.1
 _ZIP64_EXTRA = 0x0001
 _SATURATED_16 = 0xFFFF
@@ -51,14 +50,14 @@ def read_directory(archive: Archive, directory: Directory) -> Iterator[Entry]:
     for number in range(directory.entries):
         if at == end:
             raise FramingError(Code.ENTRY_COUNT_MISMATCH, f"{directory.entries} members stated, {number} present")
-        if at + _CENTRAL.size > end or archive[at : at + 4] != _CENTRAL_SIGNATURE:
+        if at + _CENTRAL.size > end or archive[at : at + 4] != CENTRAL_SIGNATURE:
             raise FramingError(Code.DAMAGED_DIRECTORY, f"entry {number} at byte {at} is damaged")
         entry, at = _read_entry(archive, at)
         if at > end:
             raise FramingError(Code.DAMAGED_DIRECTORY, f"entry {number} reaches past the directory")
         yield entry
     if at < end:
-        one_more = archive[at : at + 4] == _CENTRAL_SIGNATURE
+        one_more = archive[at : at + 4] == CENTRAL_SIGNATURE
         code = Code.ENTRY_COUNT_MISMATCH if one_more else Code.DAMAGED_DIRECTORY
         raise FramingError(code, f"{end - at} bytes follow the {directory.entries} members stated")
 

@@ -20,8 +20,8 @@ _LOCATOR64 = struct.Struct("<4sIQI")  # 4.3.15
 _END_SIGNATURE = b"PK\x05\x06"
 _END64_SIGNATURE = b"PK\x06\x06"
 _LOCATOR64_SIGNATURE = b"PK\x06\x07"
-_CENTRAL_SIGNATURE = b"PK\x01\x02"
-_LOCAL_SIGNATURE = b"PK\x03\x04"
+CENTRAL_SIGNATURE = b"PK\x01\x02"
+LOCAL_SIGNATURE = b"PK\x03\x04"
 
 _LONGEST_COMMENT = 0xFFFF
 _LONGEST_LOOK = 1 << 20
@@ -70,7 +70,7 @@ def find_directory(archive: Archive) -> Directory:
     if offset + size > at:
         raise FramingError(Code.DAMAGED_DIRECTORY, f"it would reach past its end record at byte {at}")
     if offset + size < at:
-        moved = archive[at - size : at - size + 4] == _CENTRAL_SIGNATURE or not size
+        moved = archive[at - size : at - size + 4] == CENTRAL_SIGNATURE or not size
         code = Code.PREFIX_BYTES if moved else Code.HIDDEN_BYTES
         raise FramingError(code, f"{at - offset - size} bytes too many before the end record at byte {at}")
     return Directory(offset=offset, size=size, entries=entries)
@@ -106,7 +106,7 @@ def _no_zip(archive: Archive) -> FramingError:
     head = archive[:512]
     if not head:
         return FramingError(Code.NOT_A_ZIP, "the file is empty")
-    if archive[-_END.size :][:4] == _END_SIGNATURE or _LOCAL_SIGNATURE in archive[:_LONGEST_LOOK]:
+    if archive[-_END.size :][:4] == _END_SIGNATURE or LOCAL_SIGNATURE in archive[:_LONGEST_LOOK]:
         return FramingError(Code.PREFIX_BYTES, f"the file starts with {head[:4]!r}")
     if head[257:262] == b"ustar":
         return FramingError(Code.NOT_A_ZIP, "it looks like tar")

@@ -5,25 +5,24 @@ members, and headers that contradict each other. Section numbers refer to PKWARE
 """
 
 import struct
-from typing import NamedTuple
+from collections.abc import Sequence
 
 from evaluator.archive.directory import FLAG_UTF8, Entry, read_directory, widen
-from evaluator.archive.end_record import Archive, Directory, find_directory
+from evaluator.archive.end_record import LOCAL_SIGNATURE, Archive, Directory, find_directory
 from evaluator.archive.framing_error import FramingError
+from evaluator.archive.member import DEFLATED, STORED, UNIX_TYPES, Member
 from evaluator.archive.names import check_names, is_passed_over
+from evaluator.archive.plain import plain_members
 from evaluator.codes import Code
 from evaluator.findings import Findings
 from evaluator.limits import Limits
 
 _LOCAL = struct.Struct("<4sHHHHHIIIHH")  # 4.3.7
-_LOCAL_SIGNATURE = b"PK\x03\x04"
 _DESCRIPTOR_SIGNATURE = b"PK\x07\x08"
 _LARGEST_32 = 0xFFFFFFFF
-STORED, DEFLATED = 0, 8
 _FLAG_ENCRYPTED = 0x0001 | 0x0040 | 0x2000  # 4.4.4: bit 0, bit 6 strong encryption, bit 13 masked headers
 _FLAG_DESCRIPTOR = 0x0008
 _FLAG_PATCHED = 0x0020
-_UNIX_TYPES = {0x0000: "none", 0x4000: "folder", 0x8000: "regular file"}
 _METHODS = {
     1: "shrink",
     6: "implode",
@@ -35,19 +34,6 @@ _METHODS = {
     98: "ppmd",
     99: "aes",
 }
-
-
-class Member(NamedTuple):
-    """One file of an archive: where its packed bytes are and what must come out of them."""
-
-    name: str
-    method: int
-    """`STORED` or `DEFLATED`."""
-    crc32: int
-    start: int
-    """Offset of the packed bytes in the archive."""
-    packed_bytes: int
-    expanded_bytes: int
 
 
 def check_framing(archive: Archive, limits: Limits, findings: Findings) -> tuple[Member, ...]:
@@ -69,21 +55,23 @@ def check_framing(archive: Archive, limits: Limits, findings: Findings) -> tuple
         if directory.entries > limits.entries:
             findings.add(Code.TOO_MANY_ENTRIES, found=f"{directory.entries}", expected=f"at most {limits.entries}")
             return ()
-        entries = tuple(read_directory(archive, directory))
+        plain = plain_members(archive, directory, limits)
+        entries = () if plain else tuple(read_directory(archive, directory))
     except FramingError as error:
         findings.add(error.code, detail=error.detail)
         return ()
-    check_names((entry.name for entry in entries if entry.name is not None), limits, findings)
-    _check_sizes(entries, len(archive), limits, findings)
+    check_names((entry.name for entry in plain or entries if entry.name is not None), limits, findings)
+    _check_sizes(plain or entries, len(archive), limits, findings)
     for entry in entries:
         _check_entry(entry, limits, findings)
-    members = _locate_members(archive, entries, directory, findings)
+    located = plain or _locate_members(archive, entries, directory, findings)
+    members = tuple(member for member in located if not member.name.endswith("/"))
     if not findings.error_count and all(is_passed_over(member.name) for member in members):
         findings.add(Code.EMPTY_ARCHIVE, found="folders and system files at most")
     return members
 
 
-def _check_sizes(entries: tuple[Entry, ...], archive_bytes: int, limits: Limits, findings: Findings) -> None:
+def _check_sizes(entries: Sequence[Entry | Member], archive_bytes: int, limits: Limits, findings: Findings) -> None:
     """Hold the stated sizes of all members together against the caps."""
     expanded = sum(entry.expanded_bytes for entry in entries)
     if expanded > limits.expanded_bytes:
@@ -106,7 +94,7 @@ def _check_entry(entry: Entry, limits: Limits, findings: Findings) -> None:
     if patched or entry.method not in (STORED, DEFLATED):
         method = "patched data" if patched else _METHODS.get(entry.method, str(entry.method))
         findings.add(Code.UNSUPPORTED_COMPRESSION, file=entry.shown_name, found=method, expected="deflate or store")
-    if entry.unix_type not in _UNIX_TYPES:
+    if entry.unix_type not in UNIX_TYPES:
         findings.add(Code.LINK_OR_DEVICE, file=entry.shown_name)
     if entry.expanded_bytes > limits.file_bytes:
         found, expected = f"{entry.expanded_bytes} bytes", f"at most {limits.file_bytes}"
@@ -143,7 +131,6 @@ def _locate_members(
     return tuple(
         Member(entry.shown_name, entry.method, entry.crc32, start, entry.packed_bytes, entry.expanded_bytes)
         for entry, start in zip(entries, starts, strict=True)
-        if not entry.raw_name.endswith(b"/")
     )
 
 
@@ -156,7 +143,7 @@ def _data_start(archive: Archive, entry: Entry, end: int) -> int:
     name_at = at + _LOCAL.size
     extra_at = name_at + name_length
     start: int = extra_at + extra_length
-    if signature != _LOCAL_SIGNATURE:
+    if signature != LOCAL_SIGNATURE:
         raise FramingError(Code.LOCAL_HEADER_MISMATCH, f"there is no header at byte {at}")
     if start + entry.packed_bytes > end:
         raise FramingError(Code.OVERLAPPING_MEMBERS, f"its {entry.packed_bytes} bytes reach past byte {end}")

@@ -5,7 +5,7 @@ import zlib
 from typing import Protocol, cast
 
 from evaluator.archive.end_record import Archive
-from evaluator.archive.framing import STORED, Member
+from evaluator.archive.member import STORED, Member
 from evaluator.codes import Code
 
 

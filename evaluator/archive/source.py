@@ -10,14 +10,17 @@ from typing import BinaryIO, Protocol
 
 from evaluator.archive.end_record import Archive
 from evaluator.archive.file_bytes import FileBytes
-from evaluator.archive.framing import Member, check_framing
+from evaluator.archive.framing import check_framing
 from evaluator.archive.inflate import MemberError, unpack
+from evaluator.archive.member import Member
 from evaluator.archive.names import check_names
 from evaluator.codes import Code
 from evaluator.findings import Findings
-from evaluator.limits import Limits
+from evaluator.limits import MIB, Limits
 
 _CHUNK_BYTES = 1 << 20
+_SMALL_BYTES = 32 * MIB
+"""An archive of which every byte is needed is held in memory up to this size; reading it piece by piece takes longer."""
 
 
 class Source(Protocol):
@@ -73,14 +76,14 @@ def open_source(path: Path, limits: Limits, findings: Findings) -> Iterator[Sour
     if path.is_dir():
         yield _open_folder(path, limits, findings)
         return
-    with open_archive(path, findings) as archive:
+    with open_archive(path, findings, small_bytes=_SMALL_BYTES) as archive:
         members = () if archive is None else check_framing(archive, limits, findings)
         yield None if archive is None or findings.error_count else ZipSource(archive, members)
 
 
 @contextmanager
-def open_archive(path: Path, findings: Findings) -> Iterator[Archive | None]:
-    """Open a file for reading in place; yields None when it cannot be opened."""
+def open_archive(path: Path, findings: Findings, *, small_bytes: int = 0) -> Iterator[Archive | None]:
+    """Open a file for reading in place, or read it whole when it is small; yields None when it cannot be opened."""
     try:
         file = _open_regular(path)
     except (OSError, ValueError) as error:
@@ -88,7 +91,8 @@ def open_archive(path: Path, findings: Findings) -> Iterator[Archive | None]:
         yield None
         return
     with file:
-        yield FileBytes(file.fileno())
+        is_small = os.fstat(file.fileno()).st_size <= small_bytes
+        yield file.read() if is_small else FileBytes(file.fileno())
 
 
 def _open_regular(path: Path) -> BinaryIO:
