@@ -4,6 +4,7 @@ Sources: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapters
 correction and acceleration). docs/metrics.md shows the coverage found by simulation.
 """
 
+import math
 from statistics import NormalDist
 
 import msgspec
@@ -38,6 +39,19 @@ def require_level(level: float) -> None:
 def tails(level: float) -> tuple[float, float]:
     """Return the shares of the distribution below the lower and the upper bound."""
     return (1 - level) / 2, (1 + level) / 2
+
+
+def most_contrary(resamples: int, level: float) -> int:
+    """Return on how many resamples a difference may at most be 0 or of the other sign for two scores to differ.
+
+    A tail of k of R resamples has the p-value 2 (k + 1) / (R + 1) (Davison and Hinkley, Bootstrap Methods and their
+    Application, 1997, section 4.4), which is at most 1 - level up to this k. Negative: R are too few for this level.
+    """
+    return math.floor(tails(level)[0] * (resamples + 1) + _ROUNDING) - 1
+
+
+_ROUNDING = 1e-9
+"""Far above the rounding error of a level, so that 0.95 of 999 resamples is 24 as on paper."""
 
 
 def percentile_bounds(drawn: Float64Array, level: float) -> Float64Array:

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.confidence import LEVEL, require_level, tails
+from evaluator.confidence import LEVEL, most_contrary, require_level, tails
 from evaluator.predictions import Float64Array
 
 
@@ -62,9 +62,9 @@ class Standings:
         )
 
     def _differ(self, wins: NDArray[np.bool_], losses: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return (M,) whether one side is ahead on all resamples but a tail of the distribution."""
-        tail = tails(self.level)[0] * wins.shape[1]
-        return np.asarray(((~losses).sum(axis=1) <= tail) | ((~wins).sum(axis=1) <= tail))
+        """Return (M,) whether the p-value of the difference (`compare_replicates`) is at most 1 - level."""
+        fewest = wins.shape[1] - most_contrary(wins.shape[1], self.level)
+        return np.asarray((wins.sum(axis=1) >= fewest) | (losses.sum(axis=1) >= fewest))
 
     def rank_intervals(self) -> list[tuple[int, int]]:
         """Return the best and the worst rank of each submission, leaving out the tails of the distribution."""

@@ -17,6 +17,7 @@ from evaluator.confidence import (
     Interval,
     accelerations,
     bca_bounds,
+    most_contrary,
     percentile_bounds,
     require_level,
 )
@@ -259,7 +260,9 @@ def compare_replicates(estimate: float, differences: Float64Array, level: float 
         level: Confidence level in (0, 1).
 
     Returns:
-        Percentile interval and two-sided p-value (twice the smaller tail beyond 0); None where undefined.
+        Percentile interval and two-sided p-value (twice the smaller tail beyond 0); None where undefined. The interval
+        leaves out 0 exactly where p is at most 1 - level: its bounds are replicates themselves (`most_contrary`). With
+        too few resamples for this level, below 39 at 95 %, it spans all of them.
 
     Raises:
         UsageError: The level is none.
@@ -268,7 +271,8 @@ def compare_replicates(estimate: float, differences: Float64Array, level: float 
     defined = differences[~np.isnan(differences)]
     if np.isnan(estimate) or not len(defined):
         return None
-    lower, upper = percentile_bounds(defined[:, None], level)[:, 0].tolist()
+    ordered, outside = np.sort(defined), max(most_contrary(len(defined), level), 0)
+    lower, upper = float(ordered[outside]), float(ordered[-1 - outside])
     smaller_tail = min((defined <= 0).sum(), (defined >= 0).sum())
     p_value = min(1.0, 2 * (1 + float(smaller_tail)) / (len(defined) + 1))
     return Comparison(difference=Interval(estimate=estimate, lower=lower, upper=upper), p_value=p_value)

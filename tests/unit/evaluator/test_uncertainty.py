@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as replace_fields
 
+from evaluator.confidence import LEVEL
 from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate
 from evaluator.ground_truth import read_ground_truth
 from evaluator.parallel import ground_truth_of
+from evaluator.predictions import Float64Array
 from evaluator.protocol import CITYSCAPES3D
 from evaluator.replicates import MEANS, replicate
 from evaluator.resampling import bootstrap_weights, unit_index
@@ -170,6 +172,29 @@ def test_the_p_value_is_twice_the_smaller_tail() -> None:
     assert found.p_value == pytest.approx(0.06)
 
 
+@pytest.mark.parametrize("contrary", [0, 23, 24, 25, 26, 500])
+def test_p_value_interval_and_standings_agree(contrary: int) -> None:
+    """Of 1000 resamples 24 may be contrary: 2 (24 + 1) / 1001 = 0.04995; 25 make 0.0519."""
+    differences = np.concatenate([np.linspace(-1, 0, contrary), np.linspace(0.001, 1, 1000 - contrary)])
+
+    ahead, behind = compare_replicates(0.4, differences), compare_replicates(-0.4, -differences)
+
+    assert ahead is not None
+    assert behind is not None
+    assert (ahead.p_value, ahead.difference.lower) == (behind.p_value, -behind.difference.upper)
+    differs = contrary <= 24
+    assert (ahead.p_value <= 1 - LEVEL) == (ahead.difference.lower > 0) == differs
+    assert Standings.of([differences, np.zeros(1000)]).groups([0, 1]) == ([] if differs else [[0, 1]])
+
+
+def test_too_few_resamples_show_no_difference() -> None:
+    """Of 38 the smallest p-value is 2 / 39 = 0.051, of 39 it is 0.05."""
+    few, enough = ([np.ones(resamples), np.zeros(resamples)] for resamples in (38, 39))
+
+    assert Standings.of(few).groups([0, 1]) == [[0, 1]]
+    assert Standings.of(enough).groups([0, 1]) == []
+
+
 def test_submissions_on_other_images_cannot_be_compared(evaluation: Evaluation) -> None:
     """The message says what is needed."""
     truth = ground_truth_of(evaluation.ground_truth, slice(0, 5))
@@ -188,11 +213,16 @@ def test_rank_intervals_span_the_ranks_on_the_resamples() -> None:
     assert Standings.of([]).rank_intervals() == []
 
 
+def _on_many(mds: list[list[float]]) -> Float64Array:
+    """Repeat what each submission has on a few resamples: few alone tell nothing apart."""
+    return np.tile(np.array(mds), 20)
+
+
 def test_an_undefined_mds_ranks_last() -> None:
     """A is undefined on half of the resamples and best on the others, B never is; C never has any."""
     nan = float("nan")
 
-    standings = Standings.of(np.array([[0.9, nan, 0.9, nan], [0.5, 0.5, 0.5, 0.5], [nan, nan, nan, nan]]))
+    standings = Standings.of(_on_many([[0.9, nan, 0.9, nan], [0.5, 0.5, 0.5, 0.5], [nan, nan, nan, nan]]))
 
     # Where A is undefined it shares rank 2 with C.
     assert standings.rank_intervals() == [(1, 2), (1, 2), (2, 3)]
@@ -202,14 +232,14 @@ def test_an_undefined_mds_ranks_last() -> None:
 
 def test_groups_join_neighbours_whose_difference_may_be_chance() -> None:
     """A and B trade places; B and C, too; A always beats C: two overlapping groups."""
-    mds = np.array([[0.6, 0.5, 0.6, 0.5], [0.5, 0.6, 0.45, 0.45], [0.4, 0.4, 0.46, 0.4]])
+    mds = _on_many([[0.6, 0.5, 0.6, 0.5], [0.5, 0.6, 0.45, 0.45], [0.4, 0.4, 0.46, 0.4]])
 
     assert Standings.of(mds).groups([0, 1, 2]) == [[0, 1], [1, 2]]
 
 
 def test_a_submission_apart_from_all_others_is_in_no_group() -> None:
     """A always leads, B and C trade places."""
-    mds = np.array([[0.9, 0.9], [0.5, 0.4], [0.4, 0.5]])
+    mds = _on_many([[0.9, 0.9], [0.5, 0.4], [0.4, 0.5]])
 
     assert Standings.of(mds).groups([0, 1, 2]) == [[1, 2]]
 
