@@ -17,6 +17,9 @@ MOST_LABELS = 126
 _RECORDS_IN_CACHE = 256
 """Records turned into rows at a time: as many as stay in the processor's cache since they were decoded."""
 
+_ROOM = 1.05
+"""A little more than the images so far promise, because the system gives memory only where it is written to."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Columns:
@@ -125,9 +128,38 @@ def _fill_modal(records: Sequence[Box]) -> int:
     return len(amodal_only)
 
 
-def concatenate(parts: Sequence[Columns], images: tuple[str, ...], labels: tuple[str, ...]) -> Predictions:
-    """Join parts, in the order of the images, into predictions."""
-    nothing, _ = ColumnBuilder(()).build(np.empty(0, dtype=np.int32))
-    parts = [nothing, *parts]
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Columns.__slots__}
-    return Predictions(images=images, labels=labels, **joined)
+class GrowingColumns:
+    """Gathers the columns of one batch after the other, with room for those to come, so that each is copied once."""
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._columns, _ = ColumnBuilder(()).build(np.empty(0, dtype=np.int32))
+        self._count = 0
+
+    def append(self, columns: Columns, *, share_done: float) -> None:
+        """Append a batch's columns.
+
+        Args:
+            columns: those of the images that follow.
+            share_done: with them, in (0, 1]; where room is short it is made for as many boxes as this promises.
+        """
+        stop = self._count + len(columns.score)
+        if stop > len(self._columns.score):
+            self._columns = self._enlarged(max(int(stop / share_done * _ROOM), stop + stop // 2))
+        for name in Columns.__slots__:
+            getattr(self._columns, name)[self._count : stop] = getattr(columns, name)
+        self._count = stop
+
+    def predictions(self, images: tuple[str, ...], labels: tuple[str, ...]) -> Predictions:
+        """Give everything that was appended, in its order."""
+        columns = {name: getattr(self._columns, name)[: self._count] for name in Columns.__slots__}
+        return Predictions(images=images, labels=labels, **columns)
+
+    def _enlarged(self, rows: int) -> Columns:
+        """Copy what there is to where there is room for so many rows."""
+        enlarged = {}
+        for name in Columns.__slots__:
+            old = getattr(self._columns, name)
+            enlarged[name] = np.empty((rows, *old.shape[1:]), dtype=old.dtype)
+            enlarged[name][: self._count] = old[: self._count]
+        return Columns(**enlarged)

@@ -4,7 +4,7 @@ It never explains: whatever is not clean here is looked at again, slowly, by `ex
 """
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from typing import Any
@@ -53,6 +53,8 @@ _KEYS_PER_BOX = 8
 """2d, 3d, label, score, amodal, center, dimensions, rotation; modal is optional."""
 _ARRAYS = {"2d": ("amodal", "modal"), "3d": ("center", "dimensions", "rotation")}
 """The keys whose values are arrays of numbers, which typed decoding has made sure of."""
+_FILES_AT_ONCE = 8
+"""Files looked at together: as many as mostly fit into the processor's cache."""
 _CITYPERSONS_KEYS = {"bbox", "bboxVis"}
 
 
@@ -76,9 +78,10 @@ def decode(data: bytes) -> list[Box] | None:
         return None
 
 
-def count_colons(data: bytes) -> int:
-    """Count the colons of a file; numpy compares dozens of bytes in the time `bytes.count` takes for one."""
-    return int(np.count_nonzero(np.frombuffer(data, dtype=np.uint8) == ord(":")))
+def count_colons(files: Sequence[bytes]) -> int:
+    """Count the colons of some files; numpy compares dozens of bytes in the time `bytes.count` takes for one."""
+    groups = (files[start : start + _FILES_AT_ONCE] for start in range(0, len(files), _FILES_AT_ONCE))
+    return sum(int(np.count_nonzero(np.frombuffer(b"".join(group), dtype=np.uint8) == ord(":"))) for group in groups)
 
 
 def keys_are_expected(*, colons: int, files: int, boxes: int, modal: int) -> bool:
@@ -119,7 +122,7 @@ def _all_keys_survive(data: bytes, depth_limit: int) -> bool:
         parts += part
     # What is left was not looked at by type. Boxes are inside a document and an array, their parts one step deeper.
     rest = [_count_keys(level, depth_limit - outer) for level, outer in (([document], 0), (boxes, 2), (parts, 3))]
-    return None not in rest and keys + sum(filter(None, rest)) == count_colons(data)
+    return None not in rest and keys + sum(filter(None, rest)) == count_colons([data])
 
 
 def _count_keys(level: list[Any], depth_limit: int) -> int | None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from evaluator.archive import MemberError, Source
 from evaluator.codes import Code
-from evaluator.columns import MOST_LABELS, ColumnBuilder, Columns, concatenate
+from evaluator.columns import MOST_LABELS, ColumnBuilder, Columns, GrowingColumns
 from evaluator.decoding import Box, count_colons, decode, extra_keys_are_clean, keys_are_expected
 from evaluator.errors import UsageError
 from evaluator.explanation import explain
@@ -53,7 +53,7 @@ class StrictReading:
 
     def read(self, progress: Progress | None) -> Predictions:
         """Read every file, batch by batch."""
-        parts: list[Columns] = []
+        columns = GrowingColumns()
         batch = _Batch(self._labels_in_order)
         for done, (image, number) in enumerate(self.assigned, start=1):
             data = self._read_bytes(number)
@@ -61,11 +61,11 @@ class StrictReading:
             if data is not None and boxes is not None:
                 batch.add(image, number, data, boxes)
             if batch.is_full or done == len(self.assigned):
-                parts.append(self._finish(batch))
+                columns.append(self._finish(batch), share_done=done / len(self.assigned))
                 batch = _Batch(self._labels_in_order)
                 if progress is not None:
                     progress(done, len(self.assigned))
-        return concatenate(parts, self.images, self._labels)
+        return columns.predictions(self.images, self._labels)
 
     def note_unevaluated_labels(self) -> None:
         """Note which of the data set's other classes there were boxes of."""
@@ -110,7 +110,7 @@ class StrictReading:
         """Turn a batch into arrays and explain the files with keys or values that are not as they should be."""
         columns, modal = batch.columns.build(batch.image_index)
         boxes = len(batch.columns)
-        if not keys_are_expected(colons=batch.colons, files=len(batch.data), boxes=boxes, modal=modal):
+        if not keys_are_expected(colons=count_colons(batch.data), files=len(batch.data), boxes=boxes, modal=modal):
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
@@ -133,7 +133,6 @@ class _Batch:
         self.data: list[bytes] = []
         self.images: list[int] = []
         self.counts: list[int] = []
-        self.colons = 0
         self._bytes = 0
 
     def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box]) -> None:
@@ -143,7 +142,6 @@ class _Batch:
         self.data.append(data)
         self.images.append(image)
         self.counts.append(len(boxes))
-        self.colons += count_colons(data)
         self._bytes += len(data)
 
     @property

@@ -36,7 +36,7 @@ def _fast_path_is_content(data: bytes) -> bool:
     builder.add(boxes)
     columns, modal = builder.build(np.zeros(len(boxes), dtype=np.int32))
     expected = keys_are_expected(
-        colons=count_colons(data), files=1, boxes=len(boxes), modal=modal
+        colons=count_colons([data]), files=1, boxes=len(boxes), modal=modal
     ) or extra_keys_are_clean(data, LIMITS.json_depth)
     return expected and not columns.rows_to_explain(len(VEHICLE_LABELS)).any()
 
