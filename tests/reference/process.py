@@ -35,7 +35,8 @@ def reference_results(cases: list[dict[str, Any]], python: Path) -> list[Any]:
     """Evaluate all cases in one process.
 
     Args:
-        cases: Each with "gt", "pred" (folders) and "parameters" (labels, min_iou, max_depth, step_size, modal, cw).
+        cases: Each with "gt", "pred" (folders) and "parameters"
+            (`PARAMETERS` of run_reference.py; what is left out keeps its default).
         python: What `reference_python` found.
 
     Returns:

@@ -20,6 +20,9 @@ CAMERA = [
 ]
 PLAIN_CAMERA = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
 
+SCORE_STEPS = (50, 50, 50, 20, 10, 7, 25, 60)
+"""All of them reach 1: where `numpy.arange` ends below it, the reference fails on a working point of 1."""
+
 
 def write_case(seed: int, folder: Path) -> dict[str, Any]:
     """Write one case below a folder and return it as `reference_results` takes it."""
@@ -55,6 +58,7 @@ def _parameters(rng: np.random.Generator, labels: list[str]) -> dict[str, Any]:
         "step_size": int(rng.choice([5, 5, 10, 7, 3, 1, 250])),
         "modal": bool(rng.random() < 0.3),
         "cw": float(rng.choice([-1, -1, -1, 0, 1, 0.7, 0.82, 0.5, 0.333, 1.3, -0.5])),
+        "num_conf": int(rng.choice(SCORE_STEPS)),
     }
 
 

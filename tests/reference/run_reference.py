@@ -23,6 +23,7 @@ PARAMETERS = {
     "step_size": "step_size",
     "modal": "matching_method",
     "cw": "cw",
+    "num_conf": "num_conf",
 }
 """Our name of each parameter -> the reference's."""
 

@@ -9,7 +9,10 @@ import msgspec
 
 from evaluator.cityscapes_format import cityscapes_results
 from evaluator.evaluation import evaluate
-from evaluator.ground_truth import read_ground_truth
+from evaluator.ground_truth import GroundTruth, read_ground_truth
+from evaluator.intake import read_predictions, read_predictions_leniently
+from evaluator.matching import evaluated_labels
+from evaluator.predictions import Predictions
 from evaluator.protocol import CITYSCAPES3D
 from tests.prediction_arrays import load_predictions
 from tests.reference.process import reference_results, required_reference
@@ -21,7 +24,7 @@ SEEDS = range(int(os.environ.get("CS3D_DIFFERENTIAL_SEEDS", "30")))
 
 
 def our_results(case: dict[str, Any]) -> dict[str, Any]:
-    """Evaluate a case as the command does, in the reference's format."""
+    """Evaluate a case, in the reference's format, by each way of reading its predictions."""
     parameters = case["parameters"]
     protocol = msgspec.structs.replace(
         CITYSCAPES3D,
@@ -31,10 +34,23 @@ def our_results(case: dict[str, Any]) -> dict[str, Any]:
         depth_step_m=parameters["step_size"],
         working_point=None if parameters["cw"] == -1 else parameters["cw"],
         modal=parameters["modal"],
+        score_steps=parameters["num_conf"],
     )
     ground_truth = read_ground_truth(Path(case["gt"]))
-    predictions = load_predictions(Path(case["pred"]), ground_truth.images, protocol.labels)
-    return cityscapes_results(evaluate(ground_truth, predictions, protocol).scores)
+    return {
+        reading: json.loads(json.dumps(cityscapes_results(evaluate(ground_truth, predictions, protocol).scores)))
+        for reading, predictions in readings(Path(case["pred"]), ground_truth, evaluated_labels(protocol)).items()
+    }
+
+
+def readings(folder: Path, ground_truth: GroundTruth, labels: tuple[str, ...]) -> dict[str, Predictions]:
+    """Read a folder the plainest way, leniently, and strictly where it is accepted: an image may lack its file."""
+    images = ground_truth.image_list()
+    lenient = read_predictions_leniently(folder, images=images, labels=labels).predictions
+    strict = read_predictions(folder, images=images, labels=labels).predictions
+    assert lenient is not None
+    plain = {"plain": load_predictions(folder, ground_truth.images, labels), "lenient": lenient}
+    return plain if strict is None else {**plain, "strict": strict}
 
 
 def test_random_cases_agree_with_the_reference_in_every_number(tmp_path: Path) -> None:
@@ -45,7 +61,9 @@ def test_random_cases_agree_with_the_reference_in_every_number(tmp_path: Path) -
     expected = reference_results(cases, python)
 
     found = {
-        f"seed {seed} {case['parameters']}": list(differences(json.loads(json.dumps(our_results(case))), result))[:5]
+        f"seed {seed} {reading} {case['parameters']}": list(differences(ours, result))[:5]
         for seed, case, result in zip(SEEDS, cases, expected, strict=True)
+        for reading, ours in our_results(case).items()
     }
     assert {place: places for place, places in found.items() if places} == {}
+    assert any(" strict " in place for place in found)
