@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def difference_text(difference: "Difference", paired: "Comparison | None") -> str:
-    """Return the split as a table, in percent points, and what the bootstrap says below it."""
+    """Return the split as a table, in percent points, what the bootstrap says below it, and both signatures last."""
     from client.text_table import percent, points, text_table  # noqa: PLC0415 - not needed for JSON
 
     lines = [(part.label, part.parts, part.total) for part in difference.classes]
@@ -57,12 +57,19 @@ def difference_text(difference: "Difference", paired: "Comparison | None") -> st
     ]
     header = ("class", "AP", "BEVCD", "YawSim", "PRSim", "SizeSim", "total")
     title = f"mDS {percent(difference.mds[0])} -> {percent(difference.mds[1])}: points of mDS by class and part"
-    table = text_table(title, header, rows)
+    signatures = "\n".join(map(str, difference.signatures))
+    return f"{text_table(title, header, rows)}\n\nPaired bootstrap over images: {_chance_text(paired)}\n\n{signatures}"
+
+
+def _chance_text(paired: "Comparison | None") -> str:
+    """Say whether the difference can be chance."""
+    from client.text_table import points  # noqa: PLC0415 - not needed for JSON
+
     if paired is None:
-        return f"{table}\n\nPaired bootstrap over images: n/a, there are too few images or boxes of a class for it."
+        return "n/a, there are too few images or boxes of a class for it."
     interval = paired.difference
     return (
-        f"{table}\n\nPaired bootstrap over images: difference {points(interval.estimate)}, 95 % interval "
+        f"difference {points(interval.estimate)}, 95 % interval "
         f"[{points(interval.lower)}, {points(interval.upper)}], p = {paired.p_value:.3f}"
     )
 

@@ -10,6 +10,7 @@ import msgspec
 
 from evaluator.diagnosis.loss import PARTS, Parts, factors, split_change
 from evaluator.errors import UsageError
+from evaluator.protocol import Signature
 from evaluator.results import ClassScore, Scores
 
 
@@ -28,6 +29,8 @@ class ClassDifference(msgspec.Struct, frozen=True, kw_only=True):
 class Difference(msgspec.Struct, frozen=True, kw_only=True):
     """The second submission minus the first; positive: the second is better."""
 
+    signatures: tuple[Signature, Signature]
+    """Of the first and the second submission; they differ in the digest of the predictions only."""
     mds: tuple[float | None, float | None]
     """Of the first and the second submission."""
     total: float | None
@@ -47,7 +50,13 @@ def explain_difference(first: Scores, second: Scores) -> Difference:
     counted = sum(1 for score in first.classes if factors(score) is not None)
     classes = tuple(_of_class(*pair, counted) for pair in zip(first.classes, second.classes, strict=True))
     total = None if first.mds is None or second.mds is None else second.mds - first.mds
-    return Difference(mds=(first.mds, second.mds), total=total, parts=_sum(classes), classes=classes)
+    return Difference(
+        signatures=(first.signature, second.signature),
+        mds=(first.mds, second.mds),
+        total=total,
+        parts=_sum(classes),
+        classes=classes,
+    )
 
 
 def _check_comparable(first: Scores, second: Scores) -> None:

@@ -193,6 +193,10 @@ def test_two_methods_are_compared(site: Site, archive: bytes, score: Score) -> N
     cells = re.findall(r'<td class="number">([^<]*)</td>', row[1])
     assert cells[:3] == [f"{mds:.2f}", "0.00", f"−{mds:.2f}"]
     assert "the difference of mDS alone has an interval and a p-value" in page
+    signatures = re.findall(r'<code class="signature">([^<]*)</code>', page)
+    with site.client() as visitor:
+        rows = {row["submission_id"]: row for row in visitor.get("/api/v1/leaderboards/cs3d/test").json()["rows"]}
+    assert signatures == [rows[best]["signature"], rows[worst]["signature"]]
     # Two images are too few to say how far the difference can be trusted.
     assert row[1].count('<span class="undefined">n/a</span>') == 2
     assert "n/a" in page

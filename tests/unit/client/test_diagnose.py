@@ -1,6 +1,7 @@
 """`cs3d diagnose` and `cs3d compare`: tables and JSON from folders of files."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from client.text_table import number, percent, points, text_table
 from evaluator.comparison.summary import ComparisonMetrics
 from evaluator.diagnosis.diagnose import Diagnosis
 from evaluator.diagnosis.difference import Difference
+from evaluator.intake import read_predictions
 
 CASE = Path(__file__).parents[2] / "data" / "oracle" / "tiny_by_hand"
 ARGUMENTS = ["--gt", str(CASE / "gt")]
@@ -64,17 +66,25 @@ def test_compare_splits_the_difference(capsys: pytest.CaptureFixture[str], worse
     assert difference.total < 0
     assert difference.parts.size_sim < 0
     assert difference.parts.yaw_sim == pytest.approx(0.0, abs=1e-12)
+    assert [signature.predictions_sha256 for signature in difference.signatures] == [
+        read_predictions(folder, images=None).sha256 for folder in (CASE / "pred", worse)
+    ]
     # Sixty images are too few for intervals.
     assert document["paired"]["mds"] is None
 
 
 def test_compare_prints_a_table(capsys: pytest.CaptureFixture[str], worse: Path) -> None:
-    """Every class has a row, the sum is last, and what the bootstrap says is below: that sixty images are too few."""
+    """Below the classes and their sum stand what the bootstrap says, too few images here, and both signatures."""
     assert main(["compare", *ARGUMENTS, str(CASE / "pred"), str(worse)]) == 0
     printed = capsys.readouterr().out
     assert "points of mDS by class and part" in printed
     assert "\nall " in printed
-    assert printed.rstrip().splitlines()[-1].startswith("Paired bootstrap over images: n/a")
+    *_, chance, blank, first, second = printed.rstrip().splitlines()
+    assert chance.startswith("Paired bootstrap over images: n/a")
+    assert blank == ""
+    assert first != second
+    for signature in (first, second):
+        assert re.fullmatch(r"cityscapes3d:1\|evaluator:[^|]+\|gt:[0-9a-f]{12}\|pred:[0-9a-f]{12}", signature)
 
 
 def test_equal_submissions_do_not_differ(capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,6 +65,17 @@ def test_only_what_changed_has_a_part() -> None:
     assert (parts.ap, parts.bevcd, parts.pr_sim, parts.size_sim) == pytest.approx((0, 0, 0, 0), abs=1e-12)
 
 
+def test_a_difference_names_what_it_was_made_from() -> None:
+    """Both signatures stand with the numbers: protocol, evaluator and the digests of either side."""
+    truth, found = make_ground_truth(TRUTH, images=12), make_predictions(TRUTH, images=12)
+    sides = [
+        evaluate(truth, found, ground_truth_sha256="ab12", predictions_sha256=digest).scores for digest in ("cd", "ef")
+    ]
+    difference = explain_difference(*sides)
+    assert difference.signatures == (sides[0].signature, sides[1].signature)
+    assert [signature.predictions_sha256 for signature in difference.signatures] == ["cd", "ef"]
+
+
 def test_a_class_without_ground_truth_has_no_part() -> None:
     """Trains are in neither mean."""
     difference = explain_difference(scores_of(1, 0.6), scores_of(2, 0.3))
