@@ -1,12 +1,13 @@
-"""ComparisonMetrics metrics as tables for the terminal."""
+"""Comparison metrics as tables for the terminal."""
 
 from client.text_table import number, percent, text_table
 from evaluator.comparison.summary import ComparisonMetrics
 
 
 def benchmarks_text(comparison: ComparisonMetrics) -> str:
-    """Return one table for each benchmark."""
-    return "\n\n".join([_kitti(comparison), _nuscenes(comparison), _waymo(comparison), _argoverse(comparison)])
+    """Return one table for each benchmark, the signature last."""
+    tables = [_kitti(comparison), _nuscenes(comparison), _waymo(comparison), _argoverse(comparison)]
+    return "\n\n".join([*tables, str(comparison.signature)])
 
 
 def _kitti(comparison: ComparisonMetrics) -> str:

@@ -34,7 +34,13 @@ def run(args: argparse.Namespace) -> int:
     if args.benchmarks:
         from evaluator.comparison.summary import comparison_metrics  # noqa: PLC0415 - loads shapely
 
-        comparison = comparison_metrics(evaluation.ground_truth, evaluation.predictions)
+        signature = evaluation.scores.signature
+        comparison = comparison_metrics(
+            evaluation.ground_truth,
+            evaluation.predictions,
+            ground_truth_sha256=signature.ground_truth_sha256,
+            predictions_sha256=signature.predictions_sha256,
+        )
     if args.json:
         import msgspec  # noqa: PLC0415 - not needed for the tables
 

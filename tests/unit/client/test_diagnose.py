@@ -41,11 +41,13 @@ def test_diagnose_prints_every_table(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_diagnose_adds_other_benchmarks_when_asked(capsys: pytest.CaptureFixture[str]) -> None:
-    """Each of the four has its table."""
+    """Each of the four has its table; their signature is last, with the digests of the diagnosis."""
     assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--benchmarks"]) == 0
     printed = capsys.readouterr().out
     for name in ("KITTI", "nuScenes", "Waymo", "Argoverse 2"):
         assert f"As {name}" in printed
+    of_diagnosis, of_comparison = [line for line in printed.splitlines() if "|evaluator:" in line]
+    assert of_comparison == of_diagnosis.replace("cityscapes3d:1", "comparison")
 
 
 def test_diagnose_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,7 +55,9 @@ def test_diagnose_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--json", "--benchmarks"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert msgspec.convert(document["diagnosis"], Diagnosis).classes[0].label == "car"
-    assert msgspec.convert(document["comparison"], ComparisonMetrics).kitti.classes[0].label == "car"
+    comparison = msgspec.convert(document["comparison"], ComparisonMetrics)
+    assert comparison.kitti.classes[0].label == "car"
+    assert comparison.signature.predictions_sha256 == read_predictions(CASE / "pred", images=None).sha256
 
 
 def test_compare_splits_the_difference(capsys: pytest.CaptureFixture[str], worse: Path) -> None:

@@ -35,6 +35,7 @@ def numbers(value: Any, name: str = "") -> Iterator[tuple[str, float | None]]:
 def measured(comparison: ComparisonMetrics) -> list[tuple[str, float | None]]:
     """Return every metric by name; parameters and labels are left out, an unclassified name fails."""
     content = msgspec.to_builtins(comparison)
+    del content["signature"]
     for benchmark in content.values():
         del benchmark["parameters"]
     found = list(numbers(content))
