@@ -1,7 +1,7 @@
 """`cs3d evaluate`: score predictions offline, with the same code the server uses."""
 
 import argparse
-import math
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +13,16 @@ if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from evaluator.uncertainty import Uncertainty
 
 FORMATS = ("table", "json", "cityscapes")
-MOST_DEPTH_BINS = 10_000
-"""More only fill the memory: detections end at 10 km."""
 MOST_DEPTH_BINS_WITH_INTERVALS = 100
 """Every bin is kept of every resample: 0.3 GB for 1525 images."""
+OPTIONS = {
+    "min_iou": "--min-iou",
+    "max_depth_m": "--max-depth",
+    "depth_step_m": "--step-size",
+    "working_point": "--cw",
+    "modal": "--modal",
+}
+"""Parameter of a protocol -> the option that sets it."""
 AUTOMATIC_WORKING_POINT = -1.0
 """The reference's way to ask for the best working point of each class."""
 
@@ -79,7 +85,8 @@ def protocol_from(args: argparse.Namespace) -> "Protocol":
     """
     from msgspec.structs import replace  # noqa: PLC0415 - keeps `cs3d --help` fast
 
-    from evaluator.protocol import PROTOCOLS  # noqa: PLC0415 - likewise
+    from evaluator.errors import UsageError  # noqa: PLC0415 - likewise
+    from evaluator.protocol import PROTOCOLS, require_usable  # noqa: PLC0415 - likewise
 
     given: dict[str, Any] = {
         "labels": args.labels and tuple(args.labels),
@@ -90,23 +97,26 @@ def protocol_from(args: argparse.Namespace) -> "Protocol":
         "modal": args.modal,
     }
     protocol = replace(PROTOCOLS[args.protocol], **{name: value for name, value in given.items() if value is not None})
-    _require(0 <= protocol.min_iou < math.inf, "--min-iou must be a number of 0 or more.")
-    _require(protocol.max_depth_m >= 1, "--max-depth must be at least 1 metre.")
-    _require(protocol.depth_step_m >= 1, "--step-size must be at least 1 metre.")
+    try:
+        require_usable(protocol)
+    except UsageError as error:
+        raise UsageError(_by_option(str(error))) from error
     bins = protocol.max_depth_m / protocol.depth_step_m
-    _require(bins <= MOST_DEPTH_BINS, f"--max-depth / --step-size must not exceed {MOST_DEPTH_BINS}.")
     _require(
         not args.intervals or bins <= MOST_DEPTH_BINS_WITH_INTERVALS,
         f"--max-depth / --step-size must not exceed {MOST_DEPTH_BINS_WITH_INTERVALS} with --intervals.",
     )
     _require(
-        math.isfinite(protocol.working_point or 0.0), "--cw must be a score, or -1 for the best one of each class."
-    )
-    _require(
         not (args.intervals and args.format == "cityscapes"), "the reference's format has no place for --intervals."
     )
-    _require(not (args.protocol == "paper" and args.modal), "--modal has no meaning in the protocol paper.")
     return protocol
+
+
+def _by_option(message: str) -> str:
+    """Name options where a message names parameters."""
+    for parameter, option in OPTIONS.items():
+        message = re.sub(rf"\b{parameter}\b", option, message)
+    return message
 
 
 def formatted(scores: "Scores", style: str, uncertainty: "Uncertainty | None" = None) -> str:

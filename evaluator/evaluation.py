@@ -7,7 +7,7 @@ from evaluator.ground_truth import GroundTruth
 from evaluator.matching import Matches, match
 from evaluator.paper_scoring import score_by_paper
 from evaluator.predictions import Predictions
-from evaluator.protocol import CITYSCAPES3D, EVALUATOR_VERSION, PAPER, Protocol, Signature
+from evaluator.protocol import CITYSCAPES3D, EVALUATOR_VERSION, PAPER, Protocol, Signature, require_usable
 from evaluator.results import Scores
 from evaluator.scoring import score
 from evaluator.statistics import Statistics, collect
@@ -47,7 +47,7 @@ def evaluate(
         The scores with their matches and per-image statistics.
 
     Raises:
-        UsageError: The images differ, or the protocol cannot be evaluated.
+        UsageError: The images differ, or a parameter of the protocol has no meaning (`require_usable`).
     """
     matches = match_by_protocol(ground_truth, predictions, protocol)
     statistics = collect(ground_truth, predictions, matches, protocol)
@@ -70,7 +70,12 @@ def signature_of(protocol: Protocol, ground_truth_sha256: str, predictions_sha25
 
 
 def match_by_protocol(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> Matches:
-    """Match by the rules of the protocol's family."""
+    """Match by the rules of the protocol's family.
+
+    Raises:
+        UsageError: The images differ, or a parameter of the protocol has no meaning.
+    """
+    require_usable(protocol)
     if protocol.name == PAPER.name:
         from evaluator.paper_matching import match_by_paper  # noqa: PLC0415 - shapely is slow to import and seldom needed
 

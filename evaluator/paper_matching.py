@@ -15,6 +15,7 @@ import shapely
 from numpy.typing import NDArray
 
 from evaluator.candidates import RowArray, pairs_within_groups
+from evaluator.errors import UsageError
 from evaluator.ground_truth import GroundTruth
 from evaluator.matching import Matches, groups_of
 from evaluator.predictions import Float64Array, IndexArray, Predictions
@@ -37,7 +38,12 @@ def match_by_paper(ground_truth: GroundTruth, predictions: Predictions, protocol
     Returns:
         The matches. In score order a prediction's fate does not depend on the ones after it, so each is what it is
         at every threshold up to its score.
+
+    Raises:
+        UsageError: The images of the two differ.
     """
+    if ground_truth.images != predictions.images:
+        raise UsageError("Ground truth and predictions must list the same images in the same order.")
     gt_boxes, prediction_boxes = projected_boxes(ground_truth, ground_truth), projected_boxes(ground_truth, predictions)
     thresholds = score_thresholds(protocol)
     active = active_masks(predictions.score, thresholds)

@@ -1,6 +1,11 @@
 """Protocols: frozen, named, versioned sets of evaluation rules, and the signature printed with every score."""
 
+import math
+from collections.abc import Iterator
+
 import msgspec
+
+from evaluator.errors import UsageError
 
 EVALUATOR_VERSION = "1"
 """Raised whenever any number that any protocol yields may change."""
@@ -10,6 +15,12 @@ VEHICLE_LABELS = ("car", "truck", "bus", "train", "motorcycle", "bicycle", "cara
 
 EVALUATED_LABELS = VEHICLE_LABELS[:6]
 """The classes that rank; caravan and trailer are ignored (paper, section Dataset Analysis)."""
+
+MOST_SCORE_STEPS = 62
+"""Their 63 thresholds are what a mask of 64 bits holds with one to spare, so that 2^n - 1 never overflows."""
+
+MOST_DEPTH_BINS = 10_000
+"""More only fill the memory: detections end at 10 km."""
 
 
 class Protocol(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,6 +66,35 @@ PAPER = Protocol(name="paper", version="1")
 """The paper's formulas literally (docs/protocol.md lists every difference)."""
 
 PROTOCOLS = {protocol.name: protocol for protocol in (CITYSCAPES3D, PAPER)}
+
+
+def require_usable(protocol: Protocol) -> None:
+    """Refuse a protocol whose parameters have no meaning.
+
+    Raises:
+        UsageError: Names the first such parameter, and what it may be.
+    """
+    for usable, message in _requirements(protocol):
+        if not usable:
+            raise UsageError(message)
+
+
+def _requirements(protocol: Protocol) -> Iterator[tuple[bool, str]]:
+    """Yield what must hold, and what to say where it does not; each may rely on the ones before it."""
+    yield isinstance(protocol.labels, tuple), "labels must be a tuple of names of classes, like ('car', 'bus')."
+    yield len(protocol.labels) > 0, "labels must name at least one class."
+    yield 0 <= protocol.min_iou < math.inf, "min_iou must be a number of 0 or more."
+    yield protocol.max_depth_m >= 1, "max_depth_m must be at least 1 metre."
+    yield protocol.depth_step_m >= 1, "depth_step_m must be at least 1 metre."
+    bins = protocol.max_depth_m / protocol.depth_step_m
+    yield bins <= MOST_DEPTH_BINS, f"max_depth_m / depth_step_m must not exceed {MOST_DEPTH_BINS}."
+    yield 1 <= protocol.score_steps <= MOST_SCORE_STEPS, f"score_steps must be from 1 to {MOST_SCORE_STEPS}."
+    fixed = protocol.working_point or 0.0
+    yield math.isfinite(fixed), "working_point must be a score, a finite number."
+    highest = protocol.score_steps * (1.0 / protocol.score_steps)  # 49 of them end at 0.9999999999999999
+    yield min(fixed, 1.0) <= highest, f"working_point is above the last threshold, {highest}; change score_steps."
+    modal = protocol.modal and protocol.name == PAPER.name
+    yield not modal, "modal has no meaning in the protocol paper, which matches projected boxes; leave it out."
 
 
 class Signature(msgspec.Struct, frozen=True, kw_only=True):

@@ -81,7 +81,7 @@ def _average_precision(statistics: Statistics, weights: Weighting) -> tuple[Floa
 
     def weighted(image: NDArray[np.int32], cell: NDArray[np.int32], masks: NDArray[np.uint64]) -> Float64Array:
         by_image = count_by_group(image * classes + cell // bins, masks, images * classes, thresholds)
-        counts = total(weights, by_image.reshape(images, -1).astype(np.float32))
+        counts = total(weights, by_image.reshape(images, classes * thresholds).astype(np.float32))
         return np.asarray(counts.reshape(-1, classes, thresholds).astype(np.float64))
 
     precision, recall = precision_and_recall(

@@ -3,13 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.errors import UsageError
 from evaluator.predictions import Float64Array
 from evaluator.protocol import Protocol
 
 MaskArray = NDArray[np.uint64]
-MAX_THRESHOLDS = 63
-"""What a mask holds with one bit to spare, so that 2^n - 1 never overflows."""
 
 LOWEST_THRESHOLD = 0.02
 """The lowest threshold above 0 of both published protocols: lower scores all act like a score of 0."""
@@ -25,10 +22,7 @@ def score_thresholds(protocol: Protocol) -> Float64Array:
 
     The grid is `arange` and not k / 50: its 0.7 is 0.7000000000000001, which a score of 0.7 does not reach.
     """
-    thresholds = np.arange(0.0, 1.01, 1.0 / protocol.score_steps)
-    if len(thresholds) > MAX_THRESHOLDS:
-        raise UsageError(f"At most {MAX_THRESHOLDS} score thresholds are possible; lower score_steps.")
-    return thresholds
+    return np.arange(0.0, 1.01, 1.0 / protocol.score_steps)
 
 
 def active_masks(score: Float64Array, thresholds: Float64Array) -> MaskArray:

@@ -170,12 +170,6 @@ def test_different_images_are_refused() -> None:
         match(make_ground_truth([], images=2), make_predictions([], images=1), CITYSCAPES3D)
 
 
-def test_too_many_thresholds_are_refused() -> None:
-    """More than 63 do not fit a mask."""
-    with pytest.raises(UsageError, match="score_steps"):
-        score_thresholds(msgspec.structs.replace(CITYSCAPES3D, score_steps=200))
-
-
 def _around_the_camera() -> GroundTruth:
     """Sixteen boxes ahead of, around and behind the camera."""
     return make_ground_truth(

@@ -13,10 +13,12 @@ from evaluator.ground_truth import read_ground_truth
 from evaluator.paper_replicates import paper_average_precision
 from evaluator.parallel import ground_truth_of
 from evaluator.predictions import Float64Array
-from evaluator.protocol import CITYSCAPES3D, PAPER
+from evaluator.protocol import CITYSCAPES3D, PAPER, Protocol
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates, replicate
 from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, unit_index
 from evaluator.results import Scores
+from evaluator.uncertainty import intervals
+from tests.array_factories import make_ground_truth, make_predictions
 from tests.prediction_arrays import load_predictions
 
 CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
@@ -59,6 +61,18 @@ def test_weights_of_one_give_the_scores(evaluation: Evaluation) -> None:
     ones = np.ones((1, len(evaluation.statistics.images)), dtype=np.float32)
 
     _equal(replicate(evaluation.statistics, ones, by_depth=True), evaluation.scores)
+
+
+@pytest.mark.parametrize("protocol", [CITYSCAPES3D, PAPER], ids=lambda protocol: str(protocol.name))
+def test_without_images_nothing_is_defined_and_there_are_no_intervals(protocol: Protocol) -> None:
+    """Evaluating no images at all is no error: every metric is undefined, on any resample too."""
+    nothing = evaluate(make_ground_truth([], images=0), make_predictions([], images=0), protocol)
+
+    found = intervals(nothing.statistics)
+
+    assert nothing.scores.mds is None
+    assert set(found.means.values()) == {None}
+    assert {interval for part in found.classes.values() for interval in part.values()} == {None}
 
 
 def test_weights_of_zero_leave_images_out(evaluation: Evaluation) -> None:
