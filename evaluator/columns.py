@@ -8,7 +8,7 @@ from msgspec import UNSET
 
 from evaluator.decoding import Box
 from evaluator.predictions import Float64Array, IndexArray, Predictions
-from evaluator.record_table import encode_rows, floats, letter_codes, make_table
+from evaluator.record_table import append_rows, floats, letter_codes, make_table, new_rows
 from evaluator.value_ranges import Mask, rows_to_explain
 
 MOST_LABELS = 126
@@ -67,7 +67,7 @@ class ColumnBuilder:
         """
         self._letters = {label: chr(number) for number, label in enumerate(known_labels)}
         self._records: list[Box] = []
-        self._rows: list[memoryview] = []
+        self._rows = new_rows()
         self._boxes = 0
         self._amodal_only = 0
 
@@ -110,13 +110,10 @@ class ColumnBuilder:
         letter_of, unknown = self._letters.get, chr(len(self._letters))
         for record in self._records:
             record.label = letter_of(record.label, unknown)
-        rows = encode_rows(self._records)
-        if rows is None:
+        if not append_rows(self._rows, self._records):
             self._amodal_only += _fill_modal(self._records)
-            rows = encode_rows(self._records)
-        if rows is None:
-            raise AssertionError("msgspec no longer writes floats with nine bytes")
-        self._rows.append(rows)
+            if not append_rows(self._rows, self._records):
+                raise AssertionError("msgspec no longer writes floats with nine bytes")
         self._records.clear()
 
 

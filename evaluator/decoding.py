@@ -53,8 +53,8 @@ _KEYS_PER_BOX = 8
 """2d, 3d, label, score, amodal, center, dimensions, rotation; modal is optional."""
 _ARRAYS = {"2d": ("amodal", "modal"), "3d": ("center", "dimensions", "rotation")}
 """The keys whose values are arrays of numbers, which typed decoding has made sure of."""
-_FILES_AT_ONCE = 8
-"""Files looked at together: as many as mostly fit into the processor's cache."""
+_BYTES_AT_ONCE = 1 << 17
+"""Small files are looked at together, as many as stay in the processor's cache."""
 _CITYPERSONS_KEYS = {"bbox", "bboxVis"}
 
 
@@ -80,8 +80,9 @@ def decode(data: bytes) -> list[Box] | None:
 
 def count_colons(files: Sequence[bytes]) -> int:
     """Count the colons of some files; numpy compares dozens of bytes in the time `bytes.count` takes for one."""
-    groups = (files[start : start + _FILES_AT_ONCE] for start in range(0, len(files), _FILES_AT_ONCE))
-    return sum(int(np.count_nonzero(np.frombuffer(b"".join(group), dtype=np.uint8) == ord(":"))) for group in groups)
+    step = max(1, _BYTES_AT_ONCE * len(files) // max(1, sum(map(len, files))))
+    groups = (b"".join(files[start : start + step]) for start in range(0, len(files), step))
+    return sum(int(np.count_nonzero(np.frombuffer(group, dtype=np.uint8) == ord(":"))) for group in groups)
 
 
 def keys_are_expected(*, colons: int, files: int, boxes: int, modal: int) -> bool:

@@ -21,6 +21,7 @@ _LETTER = np.dtype([("marker", "u1"), ("value", "u1")])
 """A text of one ASCII character."""
 _SHORT_ARRAY = 16
 _MEDIUM_ARRAY = 1 << 16
+_LONGEST_HEADER = 5
 
 
 def _key(name: str, marker_bytes: int = 0) -> tuple[str, str]:
@@ -43,17 +44,30 @@ _ROW = np.dtype(
 """A `Box` that has a modal box and one letter for its label."""
 
 
-def encode_rows(records: Sequence[Box]) -> memoryview | None:
-    """Encode records, whose labels are single letters, as rows of a table; None when some lack a field."""
-    encoded = _ENCODER.encode(records)
-    count = len(records)
+def append_rows(rows: bytearray, records: Sequence[Box]) -> bool:
+    """Append records, whose labels are single letters, to the rows of a table; if some lack a field, say so and do not.
+
+    MessagePack puts a header before the records. It is written over the end of what there is, which is then put back.
+    """
+    count, end = len(records), len(rows)
     header = 1 if count < _SHORT_ARRAY else 3 if count < _MEDIUM_ARRAY else 5
-    return memoryview(encoded)[header:] if len(encoded) == header + count * _ROW.itemsize else None
+    last = rows[end - header :]
+    _ENCODER.encode_into(records, rows, end - header)
+    rows[end - header : end] = last
+    if len(rows) == end + count * _ROW.itemsize:
+        return True
+    del rows[end:]
+    return False
 
 
-def make_table(rows: Sequence[memoryview]) -> NDArray[Any]:
-    """Join encoded rows to a table."""
-    return np.frombuffer(b"".join(rows), dtype=_ROW)
+def new_rows() -> bytearray:
+    """Return no rows, with room for a header before the first."""
+    return bytearray(_LONGEST_HEADER)
+
+
+def make_table(rows: bytearray) -> NDArray[Any]:
+    """Return rows as a table."""
+    return np.frombuffer(rows, dtype=_ROW, offset=_LONGEST_HEADER)
 
 
 def letter_codes(table: NDArray[Any]) -> IndexArray:

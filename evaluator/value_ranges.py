@@ -70,8 +70,8 @@ def rows_to_explain(
     Returns:
         (N,) True where something is to be said; a NaN counts as such.
     """
-    norm = np.sqrt(np.einsum("ij,ij->i", rotation, rotation))
-    distance_squared = np.einsum("ij,ij->i", center_m, center_m)
+    norm = np.sqrt(_sums_of_squares(rotation))
+    distance_squared = _sums_of_squares(center_m)
     fine: Mask = (score >= SCORE_RANGE[0]) & (score <= SCORE_RANGE[1])
     fine &= (distance_squared <= CENTER_LIMIT_M**2) & (np.abs(norm - 1.0) <= ROTATION_TOLERANCE)
     # One look at all numbers of a kind costs a tenth of a look at each row, and mostly suffices.
@@ -83,6 +83,15 @@ def rows_to_explain(
         if not _all_within(box_px[:, 2:], 0.0, BOX_LIMIT_PX):
             fine &= _rows_within(box_px[:, 2:], 0.0, BOX_LIMIT_PX)
     return np.logical_not(fine)
+
+
+def _sums_of_squares(rows: Float64Array) -> Float64Array:
+    """Sum up the squares of each row's few numbers, (N,); column by column, which numpy does twice as fast. May be infinite."""
+    with np.errstate(over="ignore"):
+        total = rows[:, 0] * rows[:, 0]
+        for column in rows.T[1:]:
+            total += column * column
+    return total
 
 
 def _all_within(values: Float64Array, least: float, most: float) -> bool:

@@ -1,44 +1,42 @@
 """Unpacks one member in memory, never past the size the directory states."""
 
-import importlib
 import zlib
+from collections.abc import Callable
 from typing import Protocol, cast
 
 from evaluator.archive.end_record import Archive
 from evaluator.archive.member import STORED, Member
 from evaluator.codes import Code
 
+_RAW_DEFLATE = -15
+
 
 class _Inflater(Protocol):
     """What zlib and isal have in common."""
 
-    eof: bool
-    unused_data: bytes
-    unconsumed_tail: bytes
+    @property
+    def eof(self) -> bool: ...
+
+    @property
+    def unused_data(self) -> bytes: ...
 
     def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
 
 
-class _Zlib(Protocol):
-    """The part of the zlib module used here."""
-
-    error: type[Exception]
-
-    def decompressobj(self, wbits: int) -> _Inflater: ...
-
-    def crc32(self, data: bytes, /) -> int: ...
-
-
-def _fastest() -> _Zlib:
-    """Take isal, twice as fast, where its wheel exists, else zlib."""
+def _fastest() -> tuple[Callable[[], _Inflater], type[Exception], Callable[[bytes], int]]:
+    """Take inflater, its error and checksum from isal, twice as fast, where its wheel exists, else from zlib."""
     try:
-        return cast("_Zlib", importlib.import_module("isal.isal_zlib"))
+        from isal import igzip_lib, isal_zlib  # noqa: PLC0415 - not there on every machine
     except ImportError:
-        return cast("_Zlib", zlib)
+        return lambda: zlib.decompressobj(_RAW_DEFLATE), zlib.error, zlib.crc32
+    return (
+        lambda: igzip_lib.IgzipDecompressor(flag=igzip_lib.DECOMP_DEFLATE),
+        cast("type[Exception]", igzip_lib.error),
+        isal_zlib.crc32,
+    )
 
 
-_ZLIB = _fastest()
-_RAW_DEFLATE = -15
+_new_inflater, _InflateError, _crc32 = _fastest()
 
 
 class MemberError(Exception):
@@ -59,17 +57,17 @@ def unpack(archive: Archive, member: Member) -> bytes:
     """
     packed = archive[member.start : member.start + member.packed_bytes]
     data = packed if member.method == STORED else _inflate(packed, member.expanded_bytes)
-    if _ZLIB.crc32(data) != member.crc32:
-        raise MemberError(Code.CHECKSUM_MISMATCH, f"CRC-32 {_ZLIB.crc32(data):08x} instead of {member.crc32:08x}")
+    if _crc32(data) != member.crc32:
+        raise MemberError(Code.CHECKSUM_MISMATCH, f"CRC-32 {_crc32(data):08x} instead of {member.crc32:08x}")
     return data
 
 
 def _inflate(packed: bytes, expanded_bytes: int) -> bytes:
     """Inflate to exactly the stated size: one byte more is asked for and must not come."""
-    inflater = _ZLIB.decompressobj(_RAW_DEFLATE)
+    inflater = _new_inflater()
     try:
         data = inflater.decompress(packed, expanded_bytes + 1)
-    except _ZLIB.error as error:
+    except _InflateError as error:
         raise MemberError(Code.DAMAGED_MEMBER, str(error)) from None
     if len(data) > expanded_bytes:
         raise MemberError(Code.SIZE_MISMATCH, f"more than the stated {expanded_bytes} bytes come out")
