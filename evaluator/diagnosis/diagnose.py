@@ -108,7 +108,7 @@ def _accuracy(
     own = errors.of_class(index)
     edges_m = (*protocol.depth_bins_m, protocol.max_depth_m)
     return Accuracy(
-        errors=summarize_errors(own.values),
+        errors=summarize_errors(own),
         curves=error_curves(own, edges_m),
         groupings=tuple(group(membership, point, errors, index) for membership in groups),
     )

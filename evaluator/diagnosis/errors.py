@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diagnosis.working_point import WorkingPoint
+from evaluator.diagnosis.working_point import BoolArray, WorkingPoint
 from evaluator.evaluation import Evaluation
 from evaluator.ground_truth import GroundTruth
 from evaluator.orientation import yaw_pitch_roll_rad
@@ -35,7 +35,7 @@ class Errors(msgspec.Struct, frozen=True, kw_only=True):
     pitch_deg: float | None
     roll_deg: float | None
     size_percent: float | None
-    """Mean of the relative errors of length, width and height; positive: too large."""
+    """Mean over length, width and height of the relative error, absolute or signed; positive: too large."""
 
 
 ERROR_NAMES = Errors.__struct_fields__
@@ -46,7 +46,7 @@ class ErrorSummary(msgspec.Struct, frozen=True, kw_only=True):
 
     true_positive_count: int
     mean: Errors
-    """Mean of the absolute errors."""
+    """Mean of the absolute errors; of the size: of each side's absolute error, so that sides do not cancel."""
     median: Errors
     """Median of the absolute errors."""
     bias: Errors
@@ -73,23 +73,29 @@ class ErrorCurves(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairErrors:
-    """Signed errors of P true positives."""
+    """Errors of P true positives, in the order of `ERROR_NAMES`."""
 
     distance_m: Float64Array
     """(P,) of the ground truth from the rear axle, on the ground plane."""
     class_index: NDArray[np.int32]
     """(P,)."""
-    values: Float64Array
-    """(P, 8) in the order of `ERROR_NAMES`."""
+    signed: Float64Array
+    """(P, 8)."""
+    absolute: Float64Array
+    """(P, 8), at least 0: without the sign; of the size the mean over the sides without their signs."""
+
+    def take(self, rows: BoolArray) -> "PairErrors":
+        """Return the errors of the chosen true positives."""
+        return PairErrors(
+            distance_m=self.distance_m[rows],
+            class_index=self.class_index[rows],
+            signed=self.signed[rows],
+            absolute=self.absolute[rows],
+        )
 
     def of_class(self, index: int | None) -> "PairErrors":
         """Return the errors of one class, of all for None."""
-        if index is None:
-            return self
-        rows = self.class_index == index
-        return PairErrors(
-            distance_m=self.distance_m[rows], class_index=self.class_index[rows], values=self.values[rows]
-        )
+        return self if index is None else self.take(self.class_index == index)
 
 
 def pair_errors(evaluation: Evaluation, point: WorkingPoint) -> PairErrors:
@@ -98,12 +104,13 @@ def pair_errors(evaluation: Evaluation, point: WorkingPoint) -> PairErrors:
     ground_truth, predictions = evaluation.ground_truth, evaluation.predictions
     camera_m = point.camera_m[ground_truth.image_index[truth]]
     place = place_errors(ground_truth.center_m[truth] - camera_m, predictions.center_m[seen] - camera_m)
-    sides = predictions.dimensions_m[seen] / ground_truth.dimensions_m[truth] - 1
-    values = np.column_stack([place, angle_errors_deg(ground_truth, predictions, point), 100 * sides.mean(axis=1)])
+    angles = angle_errors_deg(ground_truth, predictions, point)
+    sides = 100 * (predictions.dimensions_m[seen] / ground_truth.dimensions_m[truth] - 1)
     return PairErrors(
         distance_m=np.hypot(ground_truth.center_m[truth, 0], ground_truth.center_m[truth, 1]),
         class_index=point.pair_class,
-        values=values,
+        signed=np.column_stack([place, angles, sides.mean(axis=1)]),
+        absolute=np.abs(np.column_stack([place, angles, np.abs(sides).mean(axis=1)])),
     )
 
 
@@ -136,15 +143,17 @@ def angle_errors_deg(ground_truth: GroundTruth, predictions: Predictions, point:
     return np.degrees(wrapped).T
 
 
-def summarize_errors(values: Float64Array) -> ErrorSummary:
-    """Summarise the signed errors (P, 8) of a group; everything is None for no pairs."""
-    size = np.abs(values)
+def summarize_errors(errors: PairErrors) -> ErrorSummary:
+    """Summarise the errors of a group; everything is None for no pairs."""
     mean, median, bias = (
         _errors(statistic(part, axis=0) if len(part) else None)
-        for statistic, part in ((np.mean, size), (np.median, size), (np.mean, values))
+        for statistic, part in ((np.mean, errors.absolute), (np.median, errors.absolute), (np.mean, errors.signed))
     )
     return ErrorSummary(
-        true_positive_count=len(values), mean=mean, median=median, bias=msgspec.structs.replace(bias, center_m=None)
+        true_positive_count=len(errors.signed),
+        mean=mean,
+        median=median,
+        bias=msgspec.structs.replace(bias, center_m=None),
     )
 
 
@@ -173,4 +182,4 @@ def error_curves(errors: PairErrors, edges_m: tuple[int, ...]) -> ErrorCurves:
 def _range(errors: PairErrors, lower_m: float, upper_m: float | None) -> DistanceRange:
     """Summarise the true positives of one range."""
     inside = (errors.distance_m >= lower_m) & (errors.distance_m < (np.inf if upper_m is None else upper_m))
-    return DistanceRange(lower_m=lower_m, upper_m=upper_m, errors=summarize_errors(errors.values[inside]))
+    return DistanceRange(lower_m=lower_m, upper_m=upper_m, errors=summarize_errors(errors.take(inside)))

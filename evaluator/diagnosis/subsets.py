@@ -70,7 +70,7 @@ def group(membership: Membership, point: WorkingPoint, errors: PairErrors, class
     pair_chosen = chosen[point.pair_ground_truth]
     pair_subset = membership.subset[point.pair_ground_truth]
     subsets = tuple(
-        _measure(name, inside, point, errors.values[pair_chosen & (pair_subset == index)])
+        _measure(name, inside, point, errors.take(pair_chosen & (pair_subset == index)))
         for index, name in enumerate(membership.subset_names)
         for inside in [chosen & (membership.subset == index)]
         if inside.any()
@@ -78,7 +78,7 @@ def group(membership: Membership, point: WorkingPoint, errors: PairErrors, class
     return Grouping(name=membership.name, subsets=subsets)
 
 
-def _measure(name: str, inside: BoolArray, point: WorkingPoint, errors: Float64Array) -> Subset:
+def _measure(name: str, inside: BoolArray, point: WorkingPoint, errors: PairErrors) -> Subset:
     """Count one subset, which is not empty."""
     count, found = int(inside.sum()), int(point.found[inside].sum())
     return Subset(
