@@ -1,4 +1,4 @@
-"""Tables of text for the terminal; numbers are rounded here and nowhere else."""
+"""Tables of text for the terminal; numbers are rounded here and nowhere else, and what rounds to 0 has no minus."""
 
 from collections.abc import Sequence
 
@@ -22,14 +22,14 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def number(value: float | None, digits: int = 2) -> str:
     """Write a number with fixed digits, "n/a" for None."""
-    return UNDEFINED if value is None else f"{value:.{digits}f}"
+    return UNDEFINED if value is None else f"{value:z.{digits}f}"
 
 
 def percent(value: float | None, digits: int = 2) -> str:
     """Write a share in percent, "n/a" for None."""
-    return UNDEFINED if value is None else f"{100 * value:.{digits}f}"
+    return UNDEFINED if value is None else f"{100 * value:z.{digits}f}"
 
 
 def points(value: float | None) -> str:
     """Write a difference in percent points with its sign, "n/a" for None."""
-    return UNDEFINED if value is None else f"{100 * value:+.2f}"
+    return UNDEFINED if value is None else f"{100 * value:+z.2f}"

@@ -25,8 +25,8 @@ def heat(value: float | None) -> str:
 
 
 def signed(value: float | None, digits: int = 1) -> str | Markup:
-    """Show a difference of scores in percentage points, with its sign."""
-    return UNDEFINED if value is None else f"{100 * value:+.{digits}f}".replace("-", "−")
+    """Show a difference of scores in percentage points, with its sign; what rounds to 0 has no minus."""
+    return UNDEFINED if value is None else f"{100 * value:+z.{digits}f}".replace("-", "−")
 
 
 def interval(value: Interval | None, digits: int = 1) -> str | Markup:
