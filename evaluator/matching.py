@@ -109,7 +109,7 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
     if ground_truth.images != predictions.images:
         raise UsageError("Ground truth and predictions must list the same images in the same order.")
     groups = groups_of(ground_truth, predictions, protocol)
-    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, protocol)
+    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, groups, protocol)
     pairs = _overlapping_pairs(groups, gt_boxes, prediction_boxes, max(protocol.min_iou - ROUNDING, 0.0))
     if not protocol.modal:
         pairs = settled(pairs, protocol.min_iou, gt_boxes, ground_truth, predictions)
@@ -137,20 +137,23 @@ def _overlapping_pairs(
 
 
 def _boxes_to_match(
-    ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol
+    ground_truth: GroundTruth, predictions: Predictions, groups: tuple[RowArray, RowArray], protocol: Protocol
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the boxes of both sides as (4, M) and (4, N) corners."""
+    """Return the boxes of both sides as (4, M) and (4, N) corners; zeros for predictions in groups without ground truth."""
     if protocol.modal:
         return corners_px(ground_truth.modal_px), corners_px(predictions.modal_px)
+    rows = np.flatnonzero(np.isin(groups[1], groups[0]))
     projected = projected_corners_px(
-        predictions.center_m,
-        predictions.dimensions_m,
-        predictions.rotation,
+        predictions.center_m.take(rows, axis=0),
+        predictions.dimensions_m.take(rows, axis=0),
+        predictions.rotation.take(rows, axis=0),
         intrinsics_px=ground_truth.intrinsics_px,
         sensor_from_vehicle=ground_truth.sensor_from_vehicle,
-        camera_index=predictions.image_index,
+        camera_index=predictions.image_index.take(rows),
     )
-    return corners_px(ground_truth.amodal_px), through_width_and_height(projected)
+    boxes = np.zeros((4, len(predictions)))
+    boxes[:, rows] = through_width_and_height(projected)
+    return corners_px(ground_truth.amodal_px), boxes
 
 
 def groups_of(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> tuple[RowArray, RowArray]:
