@@ -17,7 +17,7 @@ it, so that no mistake is counted twice. Predictions discarded in ignore regions
 The cost of a cause is the AP that would be won if it were repaired at every score threshold, everything else equal:
 duplicates, both, ignore_region and background are taken away; a localisation or classification error becomes a true
 positive of the box it points at if that is still free, else it is taken away; missed boxes are taken away from
-the ground truth (those that no threshold finds). Costs of different causes do not sum up to the whole loss, because
+the ground truth (those that no threshold finds), which leaves nothing to measure in a class that finds none. Costs of different causes do not sum up to the whole loss, because
 repairs help each other; loss.py has the exact split.
 """
 
@@ -34,6 +34,7 @@ from evaluator.diagnosis.working_point import BoolArray, WorkingPoint
 from evaluator.evaluation import Evaluation
 from evaluator.matching import Matches
 from evaluator.predictions import Float64Array
+from evaluator.results import ClassScore
 from evaluator.thresholds import MaskArray, count_by_group
 
 BACKGROUND_IOU = 0.1
@@ -50,10 +51,12 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     """One of `FALSE_POSITIVE_CAUSES`, or `missed`."""
     count: int
     """False positives or missed boxes of this cause at the working point."""
-    ap_gain: float
-    """AP with this cause repaired minus AP, at least 0; greater means that it costs more."""
-    detection_score_gain: float
-    """The same for the detection score, the four similarities being what they are."""
+    ap_gain: float | None
+    """AP with this cause repaired minus AP, at least 0; greater means that it costs more. None where the repair leaves
+    no ground truth: missing every box costs everything, and there is no AP without boxes to compare with."""
+    detection_score_gain: float | None
+    """The same for the detection score, the four similarities being what they are; None, too, without a true positive
+    at the working point, because nobody knows the similarities of what is not found."""
 
 
 class Causes(msgspec.Struct, frozen=True, kw_only=True):
@@ -91,8 +94,9 @@ class Curves:
     """(C,)."""
 
     def average_precision(self) -> Float64Array:
-        """Return (C,) AP in [0, 1]; 0 for a class without ground truth."""
-        return average_precision(*precision_and_recall(self.true_positives, self.false_positives, self.ground_truth))
+        """Return (C,) AP in [0, 1]; NaN for a class without ground truth."""
+        curves = precision_and_recall(self.true_positives, self.false_positives, self.ground_truth)
+        return np.where(self.ground_truth > 0, average_precision(*curves), np.nan)
 
 
 def sort_by_cause(near: Nearest, min_iou: float) -> Sorted:
@@ -190,18 +194,30 @@ def _of_class(
     evaluation: Evaluation, point: WorkingPoint, index: int, counts: NDArray[np.int64], gains: Float64Array
 ) -> Causes:
     """Put together what is known about one class."""
-    score = evaluation.scores.classes[index]
-    similarity = sum(part or 0.0 for part in (score.bevcd, score.yaw_sim, score.pr_sim, score.size_sim)) / 4
     own_boxes = point.ground_truth_class == index
     own_predictions = point.prediction_class == index
+    found_count = int((point.pair_class == index).sum())
+    score_gains = gains * _mean_similarity(evaluation.scores.classes[index]) if found_count else gains * np.nan
     return Causes(
-        true_positive_count=int((point.pair_class == index).sum()),
+        true_positive_count=found_count,
         false_positive_count=int((point.false_positive & own_predictions).sum()),
         discarded_count=int((point.discarded & own_predictions).sum()),
         ground_truth_count=int(own_boxes.sum()),
         missed_count=int((own_boxes & ~point.found).sum()),
         causes=tuple(
-            Cause(name=name, count=int(count), ap_gain=float(gain), detection_score_gain=float(gain * similarity))
-            for name, count, gain in zip((*FALSE_POSITIVE_CAUSES, "missed"), counts, gains, strict=True)
+            Cause(name=name, count=int(count), ap_gain=_defined(gain), detection_score_gain=_defined(score_gain))
+            for name, count, gain, score_gain in zip(
+                (*FALSE_POSITIVE_CAUSES, "missed"), counts, gains, score_gains, strict=True
+            )
         ),
     )
+
+
+def _mean_similarity(score: ClassScore) -> float:
+    """Return what turns an AP into a detection score."""
+    return sum(part or 0.0 for part in (score.bevcd, score.yaw_sim, score.pr_sim, score.size_sim)) / 4
+
+
+def _defined(value: float) -> float | None:
+    """Return None for NaN."""
+    return None if np.isnan(value) else float(value)

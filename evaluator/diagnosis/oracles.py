@@ -2,14 +2,13 @@
 
 Each oracle changes the outcomes and scores them again by the protocol, working point included. So it tells what the
 benchmark would really give, quirks and all: a class with true positives in a single depth bin has similarities of 0 by
-the protocol, and stays there with perfect boxes.
+the protocol, and stays there with perfect boxes; a class left without ground truth is in no mean.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import msgspec
-import numpy as np
 
 from evaluator.evaluation import Evaluation, score_by_protocol
 from evaluator.matching import class_index
@@ -19,7 +18,7 @@ from evaluator.true_positive_metrics import SIMILARITIES
 
 
 class OracleClass(msgspec.Struct, frozen=True, kw_only=True):
-    """What an oracle does to one class; None without ground truth."""
+    """What an oracle does to one class; None without ground truth, or where the oracle leaves none of it."""
 
     label: str
     detection_score: float | None
@@ -32,8 +31,9 @@ class Oracle(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     mds: float | None
+    """Mean over the classes that have ground truth left; None when none has."""
     gain: float | None
-    """Minus the mean detection score as it is; None when no class has ground truth."""
+    """Minus the mean detection score as it is."""
     classes: tuple[OracleClass, ...]
 
 
@@ -92,16 +92,14 @@ def without_false_positives(evaluation: Evaluation) -> Statistics:
 
 
 def without_misses(evaluation: Evaluation) -> Statistics:
-    """Take away the ground-truth boxes that no score threshold finds; a class is left as it is if it finds none."""
+    """Take away the ground-truth boxes that no score threshold finds."""
     statistics, matches = evaluation.statistics, evaluation.matches
     evaluated = class_index(evaluation.ground_truth.labels, evaluation.ground_truth.label_index, statistics.protocol)
     found = matches.matched_thresholds[evaluated >= 0] > 0
-    label = statistics.ground_truth_cell // statistics.grid[1]
-    kept = found | (np.bincount(label[found], minlength=statistics.grid[0])[label] == 0)
     return replace(
         statistics,
-        ground_truth_image=statistics.ground_truth_image[kept],
-        ground_truth_cell=statistics.ground_truth_cell[kept],
+        ground_truth_image=statistics.ground_truth_image[found],
+        ground_truth_cell=statistics.ground_truth_cell[found],
     )
 
 

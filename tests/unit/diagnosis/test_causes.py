@@ -108,6 +108,21 @@ def test_gains_are_those_of_the_repaired_curves(explained: dict[str, Causes]) ->
     assert {cause.name: cause.ap_gain for cause in explained["truck"].causes}["classification"] == pytest.approx(1.0)
 
 
+def test_missing_every_box_has_no_price(explained: dict[str, Causes]) -> None:
+    """Without the only bus, which is missed, there is no AP of buses to compare with: undefined, not free of charge."""
+    missed = explained["bus"].causes[-1]
+    assert (missed.name, missed.count) == ("missed", 1)
+    assert (missed.ap_gain, missed.detection_score_gain) == (None, None)
+
+
+def test_what_similarities_boxes_not_found_would_have_is_unknown(explained: dict[str, Causes]) -> None:
+    """The repaired truck wins AP; its detection score depends on a box that nobody has measured."""
+    classification = explained["truck"].causes[1]
+    assert classification.name == "classification"
+    assert classification.ap_gain == pytest.approx(1.0)
+    assert classification.detection_score_gain is None
+
+
 def test_false_positives_before_a_hit_cost() -> None:
     """Taking a confident background prediction away lifts the precision behind it."""
     # one car of three found at 0.5 behind one false positive: AP 1/2 x 1/3, then 1/3

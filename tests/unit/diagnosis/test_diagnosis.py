@@ -58,7 +58,7 @@ def test_causes_account_for_every_prediction_and_box(modal: bool) -> None:  # no
         assert found.true_positive_count + found.missed_count == found.ground_truth_count == score.ground_truth_count
         assert sum(cause.count for cause in found.causes[:-1]) == found.false_positive_count
         assert found.causes[-1].count <= found.missed_count
-        assert all(cause.ap_gain >= -1e-12 for cause in found.causes)
+        assert all(cause.ap_gain is not None and cause.ap_gain >= -1e-12 for cause in found.causes)
         index = evaluation.scores.thresholds.index(score.working_point)
         assert score.recall[index] == pytest.approx(found.true_positive_count / found.ground_truth_count)
         counted = found.true_positive_count + found.false_positive_count
@@ -139,6 +139,7 @@ def test_gains_are_what_a_submission_without_those_predictions_scores(cause: str
     ):
         if part.causes is not None and before.ap is not None and after.ap is not None:
             gain = next(item.ap_gain for item in part.causes.causes if item.name == cause)
+            assert gain is not None
             assert before.ap + gain == pytest.approx(after.ap, abs=1e-12)
 
 

@@ -89,13 +89,23 @@ def test_perfect_detection_leaves_the_similarities() -> None:
     assert result["no_misses"] == pytest.approx(2 / 3 * 0.75)
 
 
-def test_a_class_that_finds_nothing_keeps_its_boxes() -> None:
-    """Taking every box of a class away would take the class out of the mean; its score stays 0 instead."""
+@pytest.mark.parametrize("name", ["no_misses", "perfect_detection"])
+def test_what_a_class_that_finds_nothing_would_score_is_undefined(name: str) -> None:
+    """Without the missed boxes the class has no ground truth: it has no score, no gain and no part in the mean."""
     bus = annotated([Box(label="bus", center=(30.0, -6.0, 1.5), dimensions=(10.0, 2.5, 3.0))])[0]
     evaluation = evaluate(make_ground_truth([NEAR, FAR, bus]), make_predictions([NEAR, FAR]))
-    no_misses = next(oracle for oracle in oracles(evaluation) if oracle.name == "no_misses")
-    assert no_misses.mds == pytest.approx(0.5)
-    assert no_misses.gain == 0.0
+    oracle = next(oracle for oracle in oracles(evaluation) if oracle.name == name)
+    by_label = {part.label: (part.detection_score, part.gain) for part in oracle.classes}
+    assert by_label["bus"] == (None, None)
+    assert by_label["car"] == pytest.approx((1.0, 0.0))
+    # cars 1 and buses 0, then cars alone
+    assert (oracle.mds, oracle.gain) == pytest.approx((1.0, 0.5))
+
+
+def test_no_misses_of_nothing_found_is_undefined() -> None:
+    """When no class finds anything no ground truth is left, and no score."""
+    no_misses = next(oracle for oracle in oracles(evaluation_of([])) if oracle.name == "no_misses")
+    assert (no_misses.mds, no_misses.gain) == (None, None)
 
 
 def test_without_ground_truth_there_is_no_gain() -> None:
