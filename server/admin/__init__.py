@@ -1,5 +1,6 @@
 """`cs3d-admin`: what maintainers do, from an empty machine to a running benchmark.
 
+entry.py         where the command starts, also when the server's packages are missing
 main.py          the command line: settings, errors, output
 command.py       what a command is and what it gives back
 installation.py  init, migrate, serve, worker
