@@ -16,6 +16,10 @@ from tests.results_comparison import differences
 ORACLE = Path(__file__).parents[1] / "data" / "oracle"
 CASES = sorted(ORACLE.iterdir())
 TINY = ORACLE / "tiny_by_hand"
+NOT_LOADED = {
+    "asyncio", "http", "httpx", "ssl", "rich", "shapely",
+    "server", "worker", "fastapi", "starlette", "uvicorn", "sqlalchemy", "celery", "redis", "pydantic", "jinja2",
+}  # fmt: skip
 
 
 def _arguments(case: Path) -> list[str]:
@@ -154,6 +158,25 @@ def test_output_nobody_takes_ends_without_a_traceback(closed: str, status: int) 
     assert ended.returncode == status
     assert "Traceback" not in ended.stderr
     assert ("No space left" in ended.stderr) == (status == 2)
+
+
+@pytest.mark.parametrize("packed", [False, True], ids=["folder", "zip"])
+def test_nothing_web_like_is_loaded(packed: bool, tmp_path: Path) -> None:  # noqa: FBT001 - pytest passes parameters by name
+    """Evaluating loads no network, no server and none of what only other commands need: it would cost the start."""
+    arguments = _arguments(TINY)
+    if packed:
+        arguments[3] = shutil.make_archive(str(tmp_path / "pred"), "zip", TINY / "pred")
+    script = (
+        "import sys; from client.main import main; status = main(sys.argv[1:]); "
+        "print(*{name.partition('.')[0] for name in sys.modules}, file=sys.stderr); sys.exit(status)"
+    )
+
+    ended = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
+
+    assert ended.returncode == 0
+    loaded = set(ended.stderr.split())
+    assert {"client", "evaluator", "numpy"} <= loaded
+    assert loaded & NOT_LOADED == set()
 
 
 def test_missing_arguments_are_wrong_usage() -> None:
