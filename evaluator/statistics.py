@@ -1,8 +1,8 @@
 """What every score is computed from: the outcome of each box, image by image.
 
-A submission's statistics are kept with its score (1-2 MB). Scores of any subset or resample of the images follow
-from them without matching again (evaluator/uncertainty.py), and those of disjoint parts of the images can be joined
-(evaluator/parallel.py).
+A submission's statistics are kept with its score: 1.5 MB with 30 predictions in each of 1525 images, 4.1 MB with 100.
+Scores of any subset or resample of the images follow from them without matching again (evaluator/uncertainty.py), and
+those of disjoint parts of the images can be joined (evaluator/parallel.py).
 """
 
 from collections.abc import Sequence
