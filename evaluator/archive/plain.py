@@ -22,6 +22,7 @@ _HEAD = np.dtype(
 """An entry of the directory between its signature and its name (4.3.12)."""
 _ALIKE = slice(2, 28)
 """What a member's own header says, too, from version to length of the extra fields (4.3.7)."""
+_ENTRY_BYTES = len(CENTRAL_SIGNATURE) + _HEAD.itemsize
 _LOCAL_BYTES = 30
 _SATURATED = 0xFFFFFFFF
 
@@ -33,6 +34,8 @@ def plain_members(archive: Archive, directory: Directory, limits: Limits) -> tup
         All members, folders included, when there is nothing wrong with any but perhaps its name; none when that takes
         a closer look.
     """
+    if directory.size > directory.entries * (_ENTRY_BYTES + limits.name_bytes):
+        return ()  # and is not read at once: extra fields and comments may be of any length
     entries = archive[directory.offset : directory.end].split(CENTRAL_SIGNATURE)
     heads = b"".join([entry[: _HEAD.itemsize] for entry in entries])
     if entries.pop(0) or not entries or not len(entries) == directory.entries == len(heads) / _HEAD.itemsize:

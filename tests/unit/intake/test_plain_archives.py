@@ -1,5 +1,6 @@
 """A plain archive is recognised at a glance only where the careful look finds the same."""
 
+import struct
 from pathlib import Path
 from unittest.mock import patch
 
@@ -63,3 +64,24 @@ def test_both_looks_find_the_same_in_a_damaged_archive(changes: list[tuple[int, 
     for at, value in changes:
         archive[at] = value
     assert _checked(bytes(archive)) == _checked_carefully(bytes(archive))
+
+
+class _Watched(bytes):
+    """Bytes that remember the longest part asked for."""
+
+    longest = 0
+
+    def __getitem__(self, part: slice) -> bytes:  # type: ignore[override]
+        found = super().__getitem__(part)
+        self.longest = max(self.longest, len(found))
+        return found
+
+
+def test_a_directory_of_any_length_is_not_read_at_once() -> None:
+    """Extra fields make a directory as long as the archive may be; it is then read entry by entry."""
+    padding = struct.pack("<HH", 0x7777, 60_000) + bytes(60_000)
+    entries = [Entry(name=f"{number}_pred.json".encode(), central_extra=padding) for number in range(4)]
+    archive = _Watched(write_zip(entries))
+    members, _ = _checked(archive)
+    assert len(members) == 4
+    assert archive.longest < 2 * 65_536
