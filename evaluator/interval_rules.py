@@ -12,16 +12,30 @@ from evaluator.protocol import PAPER, Protocol
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates
 from evaluator.statistics import Statistics
 
-FEWEST_UNITS = 100
-"""Images, or sequences or cities where these are drawn, for any interval."""
-FEWEST_BOXES = 10
-"""Ground-truth boxes of a class for its AP and detection score, and of each class for their means."""
+FEWEST_UNITS = 500
+"""Images, or sequences or cities where these are drawn, for any interval, and for any difference of two submissions."""
+FEWEST_BOXES = 30
+"""Ground-truth boxes of a class for its AP and detection score."""
+FEWEST_BOXES_FOR_MEANS = 10
+"""Ground-truth boxes of each class for mAP and mDS, to which a class adds no more than its share."""
+FEWEST_BOXES_FOR_DIFFERENCE = 500
+"""Ground-truth boxes of a class for the difference of two detection scores: what both find alike cancels, little is left."""
 FEWEST_BOXES_IN_BIN = 20
 """Ground-truth boxes in a depth bin for its AP."""
-FEWEST_TRUE_POSITIVES = 20
-"""In a depth bin for its similarities; for those of a class the harmonic mean over its bins, which weighs thin ones."""
-FEWEST_TRUE_POSITIVES_FOR_YAW = 400
+FEWEST_TRUE_POSITIVES = 5
+"""Of a class for its AP and detection score: of what is hardly ever found, resamples show next to nothing."""
+FEWEST_TRUE_POSITIVES_IN_BIN = 20
+"""In a depth bin for its similarities."""
+FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW = 400
 """For YawSim: one box in some hundreds is turned round, and a sample without such a box shows nothing of it."""
+FEWEST_TRUE_POSITIVES_PER_BIN = 60
+"""For similarities of a class: the harmonic mean over its bins that hold any, which weighs thin ones, as the score does.
+
+Where a bin of two or three boxes is empty by chance, the mean over the others is high and the score is another one. So
+the limit lies above all that was seen of a class with such a bin.
+"""
+FEWEST_TRUE_POSITIVES_PER_BIN_FOR_YAW = 100
+"""The same mean for YawSim."""
 
 BoolArray = NDArray[np.bool_]
 
@@ -36,17 +50,23 @@ def sufficient(statistics: Statistics, estimate: Replicates, units: int) -> tupl
 
     Returns:
         For means (6,), classes (C, 6) and depth bins (C, B, 5), in the order of `Replicates`. A mean needs enough of
-        every class with ground truth.
+        every class with ground truth; so does a difference of means, of both submissions.
     """
     boxes = np.bincount(statistics.ground_truth_cell, minlength=int(np.prod(statistics.grid))).reshape(statistics.grid)
     found = estimate.true_positives[0]
-    of_class = boxes.sum(axis=1)
-    classes = _by_metric(METRICS, of_class >= FEWEST_BOXES, _harmonic_mean(found), found.sum(axis=1))
-    classes &= can_be_resampled(statistics.protocol)
-    bins = _by_metric(BIN_METRICS, boxes[:, :-1] >= FEWEST_BOXES_IN_BIN, found, found)
-    means = classes[of_class > 0].all(axis=0)
-    trusted = units >= FEWEST_UNITS
-    return means & trusted, classes & trusted, bins[:, : estimate.depth_bins.shape[2]] & trusted
+    of_class, per_bin = boxes.sum(axis=1), _harmonic_mean(found)
+    similarities = per_bin >= FEWEST_TRUE_POSITIVES_PER_BIN, per_bin >= FEWEST_TRUE_POSITIVES_PER_BIN_FOR_YAW
+    known = (of_class >= FEWEST_BOXES) & (found.sum(axis=1) >= FEWEST_TRUE_POSITIVES)
+    classes = _by_metric(METRICS, known, *similarities)
+    means = _by_metric(METRICS, of_class >= FEWEST_BOXES_FOR_MEANS, *similarities)[of_class > 0].all(axis=0)
+    bins = _by_metric(
+        BIN_METRICS,
+        boxes[:, :-1] >= FEWEST_BOXES_IN_BIN,
+        found >= FEWEST_TRUE_POSITIVES_IN_BIN,
+        found >= FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW,
+    )
+    trusted, possible = units >= FEWEST_UNITS, can_be_resampled(statistics.protocol)
+    return means & possible & trusted, classes & possible & trusted, bins[:, : estimate.depth_bins.shape[2]] & trusted
 
 
 def can_be_resampled(protocol: Protocol) -> BoolArray:
@@ -59,17 +79,10 @@ def can_be_resampled(protocol: Protocol) -> BoolArray:
     return np.array([protocol.name != PAPER.name or metric == "ap" for metric in METRICS])
 
 
-def _by_metric(
-    metrics: tuple[str, ...], enough_boxes: BoolArray, typical: Float64Array, total: Float64Array
-) -> BoolArray:
-    """Return (..., K) for the metrics: true positives in a typical depth bin and in all decide on similarities."""
-    enough = typical >= FEWEST_TRUE_POSITIVES
-    of_metric = {
-        "ap": enough_boxes,
-        "detection_score": enough_boxes,
-        "yaw_sim": enough & (total >= FEWEST_TRUE_POSITIVES_FOR_YAW),
-    }
-    return np.stack([of_metric.get(metric, enough) for metric in metrics], axis=-1)
+def _by_metric(metrics: tuple[str, ...], scores: BoolArray, similarities: BoolArray, yaw: BoolArray) -> BoolArray:
+    """Return (..., K) for the metrics, from what is known for AP and detection scores, for similarities and for YawSim."""
+    of_metric = {"ap": scores, "detection_score": scores, "yaw_sim": yaw}
+    return np.stack([of_metric.get(metric, similarities) for metric in metrics], axis=-1)
 
 
 def _harmonic_mean(true_positives: Float64Array) -> Float64Array:

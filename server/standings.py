@@ -15,6 +15,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from evaluator.confidence import Interval
+from evaluator.interval_rules import FEWEST_BOXES_FOR_DIFFERENCE
 from evaluator.score_replicates import MDS, STANDARD_DRAW, ScoreReplicates
 from evaluator.standings import Standings
 from evaluator.uncertainty import Comparison, compare_replicates
@@ -116,23 +117,29 @@ def standings_from(
 
 
 def comparison(
-    first: ScoreReplicates | None, second: ScoreReplicates | None, difference: float | None, label: str | None = None
+    first: ScoreReplicates | None, second: ScoreReplicates | None, difference: float | None
 ) -> Comparison | None:
-    """Judge how much the second differs from the first.
+    """Judge how much the mDS of the second differs from that of the first.
 
     Args:
         first: Of one submission; None: it has none.
         second: Of the other, for the same ground truth.
         difference: Second minus first, as scored; None: undefined.
-        label: In the detection score of this class; None: in mDS.
 
     Returns:
         None where it is undefined or nothing is known of it.
     """
     if first is None or second is None or difference is None:
         return None
-    if label is None:
-        return compare_replicates(difference, second.mds - first.mds)
+    return compare_replicates(difference, second.mds - first.mds)
+
+
+def class_comparison(
+    first: ScoreReplicates | None, second: ScoreReplicates | None, difference: float | None, label: str, *, boxes: float
+) -> Comparison | None:
+    """Judge the same of the detection score of one class, which has so many ground-truth boxes."""
+    if first is None or second is None or difference is None or boxes < FEWEST_BOXES_FOR_DIFFERENCE:
+        return None
     if first.intervals.get(label) is None or second.intervals.get(label) is None:
         return None
     return compare_replicates(difference, second.detection_scores[label] - first.detection_scores[label])

@@ -32,7 +32,7 @@ class DemoPhase:
 
 PHASES = (
     DemoPhase(slug="val", title="Validation (open)", is_open=True, images=60, seed=11),
-    DemoPhase(slug="test", title="Test (hidden)", is_open=False, images=200, seed=12),
+    DemoPhase(slug="test", title="Test (hidden)", is_open=False, images=500, seed=12),
 )
 
 TEAMS = {

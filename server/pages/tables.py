@@ -118,8 +118,11 @@ def significance(
     pair = kept.get(left.submission.id), kept.get(right.submission.id)
     of_mds = standings.comparison(*pair, difference(left.mds, right.mds))
     by_label = {
-        label: standings.comparison(
-            *pair, difference(*(class_value(row, label, "detection_score") for row in (left, right))), label
+        label: standings.class_comparison(
+            *pair,
+            difference(*(class_value(row, label, "detection_score") for row in (left, right))),
+            label,
+            boxes=class_value(left, label, "ground_truth_count") or 0,
         )
         for label in labels
     }

@@ -12,11 +12,12 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from evaluator.confidence import Interval
+from evaluator.interval_rules import FEWEST_BOXES_FOR_DIFFERENCE
 from evaluator.score_replicates import MDS, STANDARD_DRAW, Draw, ScoreReplicates
 from server import benchmarks, models, ranking
 from server.models import Method, Score, Submission, Team
 from server.ranking import LeaderboardRow
-from server.standings import UNKNOWN, Standing, StandingsCache, comparison, standings_from
+from server.standings import UNKNOWN, Standing, StandingsCache, class_comparison, comparison, standings_from
 from tests.integration.api.test_following import zip_with
 from tests.integration.api.test_leaderboards import BOARD, NOTHING_FOUND, published
 from tests.integration.site import Site
@@ -79,11 +80,15 @@ def test_differences_are_judged_where_both_have_replicates_of_the_same_draw() ->
 
     assert found is not None
     assert (found.difference.lower, found.difference.upper) == pytest.approx((0.1, 0.3))
-    assert comparison(first, second, 0.2, "car") == found
-    assert comparison(first, second, 0.2, "train") is None
-    assert comparison(first, second, 0.2, "truck") is None
     assert comparison(None, second, 0.2) is None
     assert comparison(first, second, None) is None
+    boxes = FEWEST_BOXES_FOR_DIFFERENCE
+    assert class_comparison(first, second, 0.2, "car", boxes=boxes) == found
+    assert class_comparison(first, second, 0.2, "car", boxes=boxes - 1) is None
+    assert class_comparison(first, second, 0.2, "train", boxes=boxes) is None
+    assert class_comparison(first, second, 0.2, "truck", boxes=boxes) is None
+    assert class_comparison(None, second, 0.2, "car", boxes=boxes) is None
+    assert class_comparison(first, second, None, "car", boxes=boxes) is None
 
 
 def test_the_draw_is_part_of_what_is_kept() -> None:

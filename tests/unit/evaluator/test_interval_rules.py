@@ -8,8 +8,12 @@ import pytest
 from evaluator.evaluation import evaluate
 from evaluator.interval_rules import (
     FEWEST_BOXES,
+    FEWEST_BOXES_FOR_MEANS,
     FEWEST_BOXES_IN_BIN,
-    FEWEST_TRUE_POSITIVES_FOR_YAW,
+    FEWEST_TRUE_POSITIVES,
+    FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW,
+    FEWEST_TRUE_POSITIVES_PER_BIN,
+    FEWEST_TRUE_POSITIVES_PER_BIN_FOR_YAW,
     FEWEST_UNITS,
     sufficient,
 )
@@ -42,26 +46,40 @@ def _given(cars_by_bin: list[int], *, trucks: int = 0, units: int = FEWEST_UNITS
 
 
 def test_enough_boxes_give_average_precision_and_detection_score() -> None:
-    """Ten boxes do, nine do not; ten in five bins are too few for similarities."""
-    assert _given([2, 2, 2, 2, FEWEST_BOXES - 8])[1] == {"ap", "detection_score"}
-    assert _given([2, 2, 2, 2, FEWEST_BOXES - 9])[1] == set()
+    """Thirty boxes do, 29 do not; thirty in five bins are too few for similarities."""
+    assert _given([6, 6, 6, 6, FEWEST_BOXES - 24])[1] == {"ap", "detection_score"}
+    assert _given([6, 6, 6, 6, FEWEST_BOXES - 25])[1] == set()
+
+
+def test_a_class_hardly_found_has_no_interval() -> None:
+    """Five of the boxes must be found, however many there are."""
+    statistics, estimate = _found([1000])
+    found = np.zeros_like(estimate.true_positives)
+
+    for true_positives, given in (
+        (FEWEST_TRUE_POSITIVES, {"ap", "detection_score"}),
+        (FEWEST_TRUE_POSITIVES - 1, set()),
+    ):
+        found[0, CAR, 0] = true_positives
+        _, classes, _ = sufficient(statistics, replace(estimate, true_positives=found), FEWEST_UNITS)
+        assert {METRICS[i] for i in np.flatnonzero(classes[CAR])} == given
 
 
 def test_thin_bins_decide_on_similarities() -> None:
-    """Harmonic mean of 100 and 1: 2 / (1/100 + 1) = 1.98, too few; of 100 and 12: 2 / (1/100 + 1/12) = 21.4."""
+    """Harmonic mean of 1000 and 30: 2 / (1/1000 + 1/30) = 58.3, below 60; of 1000 and 31: 60.1."""
     similarities = {"bevcd", "pr_sim", "size_sim"}
+    assert FEWEST_TRUE_POSITIVES_PER_BIN == 60
 
-    assert not _given([100, 1])[1] & similarities
-    assert _given([100, 12])[1] >= similarities
+    assert not _given([1000, 30])[1] & similarities
+    assert _given([1000, 31])[1] >= similarities
 
 
 def test_yaw_needs_more() -> None:
-    """Sixteen bins of 25 are 400 true positives; one less is too few for yaw, though no bin is thin."""
-    bins = [25] * 16
-    assert sum(bins) == FEWEST_TRUE_POSITIVES_FOR_YAW
+    """A hundred true positives in each bin are enough; 99 in one of sixteen are not, though no bin is thin."""
+    bins = [FEWEST_TRUE_POSITIVES_PER_BIN_FOR_YAW] * 16
 
     assert "yaw_sim" in _given(bins)[1]
-    assert "yaw_sim" not in _given([24, *bins[1:]])[1]
+    assert "yaw_sim" not in _given([bins[0] - 1, *bins[1:]])[1]
 
 
 def test_a_mean_needs_enough_of_every_class_with_ground_truth() -> None:
@@ -69,12 +87,12 @@ def test_a_mean_needs_enough_of_every_class_with_ground_truth() -> None:
     cars = [100, 100]
 
     assert _given(cars)[0] >= {"ap", "detection_score", "bevcd"}
-    assert _given(cars, trucks=FEWEST_BOXES - 1)[0] == set()
-    assert _given(cars, trucks=FEWEST_BOXES)[0] == {"ap", "detection_score"}
+    assert _given(cars, trucks=FEWEST_BOXES_FOR_MEANS - 1)[0] == set()
+    assert _given(cars, trucks=FEWEST_BOXES_FOR_MEANS)[0] == {"ap", "detection_score"}
 
 
 def test_few_images_or_clusters_give_nothing() -> None:
-    """Ninety-nine are too few, however many boxes they hold."""
+    """499 are too few, however many boxes they hold."""
     assert _given([1000] * 20, units=FEWEST_UNITS - 1) == (set(), set())
     assert _given([1000] * 20)[1] == set(METRICS)
 
@@ -93,7 +111,7 @@ def test_integrals_over_the_whole_range_give_nothing_but_average_precision() -> 
     [
         (FEWEST_BOXES_IN_BIN - 1, set()),
         (FEWEST_BOXES_IN_BIN, {"ap", "bevcd", "pr_sim", "size_sim"}),
-        (FEWEST_TRUE_POSITIVES_FOR_YAW, set(BIN_METRICS)),
+        (FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW, set(BIN_METRICS)),
     ],
 )
 def test_a_depth_bin_needs_its_own_boxes(boxes: int, metrics: set[str]) -> None:

@@ -65,23 +65,24 @@ def test_clusters_are_drawn_whole() -> None:
 
 
 @pytest.fixture(scope="module")
-def doubled(evaluation: Evaluation) -> Statistics:
-    """The same sixty images twice, under other names."""
-    again = replace(evaluation.statistics, images=tuple(f"again{image}" for image in evaluation.statistics.images))
-    return join([evaluation.statistics, again])
+def repeated(evaluation: Evaluation) -> Statistics:
+    """The same sixty images nine times, under other names: enough for intervals."""
+    statistics = evaluation.statistics
+    again = [replace(statistics, images=tuple(f"{time}{image}" for image in statistics.images)) for time in range(9)]
+    return join(again)
 
 
 @pytest.fixture(scope="module")
-def plenty(doubled: Statistics) -> Statistics:
+def plenty(repeated: Statistics) -> Statistics:
     """Cars alone, of which there are plenty; the mean of one class is enough for an interval."""
-    protocol = replace_fields(doubled.protocol, labels=("car",))
-    bins = doubled.grid[1]
+    protocol = replace_fields(repeated.protocol, labels=("car",))
+    bins = repeated.grid[1]
     own = {
-        f"{side}_{column}": getattr(doubled, f"{side}_{column}")[getattr(doubled, f"{side}_cell") < bins]
+        f"{side}_{column}": getattr(repeated, f"{side}_{column}")[getattr(repeated, f"{side}_cell") < bins]
         for side, columns in COLUMNS.items()
         for column in columns
     }
-    return replace(doubled, protocol=protocol, **own)
+    return replace(repeated, protocol=protocol, **own)
 
 
 COLUMNS = {
@@ -98,11 +99,11 @@ def test_too_few_boxes_are_not_compared(evaluation: Evaluation) -> None:
 
 
 @pytest.mark.parametrize("method", ["percentile", "bca"])
-def test_intervals_are_reproducible_and_hold_the_estimate(doubled: Statistics, method: Method) -> None:
+def test_intervals_are_reproducible_and_hold_the_estimate(repeated: Statistics, method: Method) -> None:
     """The same call gives the same intervals; the estimate lies inside, in classes and depth bins, too."""
-    first = intervals(doubled, resamples=200, method=method)
+    first = intervals(repeated, resamples=200, method=method)
 
-    assert first == intervals(doubled, resamples=200, method=method)
+    assert first == intervals(repeated, resamples=200, method=method)
     assert len(first.depth_bins["car"]) == 20
     for found in (
         first.classes["car"]["ap"],
@@ -113,9 +114,9 @@ def test_intervals_are_reproducible_and_hold_the_estimate(doubled: Statistics, m
         assert found.lower < found.estimate < found.upper
 
 
-def test_the_estimates_are_the_scores(evaluation: Evaluation, doubled: Statistics) -> None:
-    """Counting every image twice changes no score, so the estimates are those of the evaluation."""
-    found = intervals(doubled, resamples=20)
+def test_the_estimates_are_the_scores(evaluation: Evaluation, repeated: Statistics) -> None:
+    """Counting every image nine times changes no score, so the estimates are those of the evaluation."""
+    found = intervals(repeated, resamples=20)
     car = evaluation.scores.classes[0]
     ap, in_bin = found.classes["car"]["ap"], found.depth_bins["car"][3]["ap"]
 
@@ -124,9 +125,9 @@ def test_the_estimates_are_the_scores(evaluation: Evaluation, doubled: Statistic
     assert (ap.estimate, in_bin.estimate) == pytest.approx((car.ap, car.depth_bins[3].ap), abs=1e-12)
 
 
-def test_a_higher_level_gives_a_wider_interval(doubled: Statistics) -> None:
+def test_a_higher_level_gives_a_wider_interval(repeated: Statistics) -> None:
     """99 % holds 50 %; what is no level is refused."""
-    wide, narrow = (intervals(doubled, resamples=200, level=level, by_depth=False) for level in (0.99, 0.5))
+    wide, narrow = (intervals(repeated, resamples=200, level=level, by_depth=False) for level in (0.99, 0.5))
     outer, inner = (found.classes["car"]["ap"] for found in (wide, narrow))
 
     assert outer is not None
@@ -134,19 +135,19 @@ def test_a_higher_level_gives_a_wider_interval(doubled: Statistics) -> None:
     assert outer.lower < inner.lower < inner.upper < outer.upper
     for level in (0.0, 1.0, -1.0, 95.0):
         with pytest.raises(UsageError, match="between 0 and 1"):
-            intervals(doubled, resamples=10, level=level)
+            intervals(repeated, resamples=10, level=level)
 
 
-def test_depth_bins_may_be_left_out(doubled: Statistics) -> None:
+def test_depth_bins_may_be_left_out(repeated: Statistics) -> None:
     """Then only means and classes have intervals, the same ones."""
-    with_bins, without = (intervals(doubled, resamples=20, by_depth=by_depth) for by_depth in (True, False))
+    with_bins, without = (intervals(repeated, resamples=20, by_depth=by_depth) for by_depth in (True, False))
 
     assert without.depth_bins["car"] == ()
     assert (without.means, without.classes) == (with_bins.means, with_bins.classes)
 
 
 def test_few_images_give_no_interval(evaluation: Evaluation) -> None:
-    """Sixty are fewer than the hundred an interval needs; their cities are fewer still."""
+    """Sixty are fewer than the five hundred an interval needs; their cities are fewer still."""
     found = intervals(evaluation.statistics, resamples=10)
 
     assert set(found.means.values()) == {None}
