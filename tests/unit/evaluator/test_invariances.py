@@ -5,7 +5,7 @@ disturbed without changing what matches, and must change its own metrics and no 
 """
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import ModuleType
 
@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 from evaluator import overlap, paper_matching, true_positive_metrics
-from evaluator.evaluation import evaluate
+from evaluator.evaluation import Evaluation, evaluate
 from evaluator.predictions import Float64Array, Predictions
 from evaluator.protocol import CITYSCAPES3D
+from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, replicate
+from evaluator.resampling import bootstrap_weights
 from evaluator.results import ClassScore, DepthBin, Scores
-from tests.array_factories import Box, make_ground_truth, make_predictions
+from tests.array_factories import Box, image_names, make_ground_truth, make_predictions
 
 MODAL = msgspec.structs.replace(CITYSCAPES3D, modal=True)
 
@@ -69,13 +71,19 @@ def _disturb(predictions: Predictions, what: str) -> Predictions:
     return replace(predictions, rotation=np.tile([w, 0.0, y, z], (len(predictions), 1)))
 
 
-def _scores(disturbance: str | None = None) -> Scores:
-    truth = [Box(center=(10.0 + 12 * i, 0, 0.75), amodal=(150.0 * i, 0, 100, 100)) for i in range(6)]
+def _evaluation(disturbance: str | None = None, image_of: Sequence[int] = (0,) * 7) -> Evaluation:
+    """Evaluate six cars found and one that is none; `image_of` says which image each of the seven is in."""
+    truth = [Box(image=image_of[i], center=(10.0 + 12 * i, 0, 0.75), amodal=(150.0 * i, 0, 100, 100)) for i in range(6)]
     right = [replace(box, score=0.9 - 0.1 * i) for i, box in enumerate(truth)]
-    wrong = [Box(center=(30.0, 5, 0.75), amodal=(1500, 500, 50, 50), score=0.65)]
-    predictions = make_predictions([*right, *wrong])
+    wrong = [Box(image=image_of[6], center=(30.0, 5, 0.75), amodal=(1500, 500, 50, 50), score=0.65)]
+    images = max(image_of) + 1
+    predictions = make_predictions([*right, *wrong], images=images)
     changed = predictions if disturbance is None else _disturb(predictions, disturbance)
-    return evaluate(make_ground_truth(truth), changed, MODAL).scores
+    return evaluate(make_ground_truth(truth, images=images), changed, MODAL)
+
+
+def _scores(disturbance: str | None = None) -> Scores:
+    return _evaluation(disturbance).scores
 
 
 def _value(scores: Scores, metric: str) -> float:
@@ -114,6 +122,46 @@ def test_a_metric_reacts_to_its_own_property_and_to_no_other(metric: str, distur
         assert after < before
     else:
         assert after == pytest.approx(before, abs=1e-12)
+
+
+WEIGHTS = bootstrap_weights(image_names(7), resamples=20, seed=1)
+
+
+def _replicates(disturbance: str | None = None) -> Replicates:
+    """Resample seven images with one prediction each."""
+    return replicate(_evaluation(disturbance, range(7)).statistics, WEIGHTS, by_depth=True)
+
+
+def test_every_resampled_metric_is_classified() -> None:
+    """What has an interval is a metric of a class, of a depth bin or a mean, by the same name."""
+    assert set(METRICS) == CHANGED_BY.keys()
+    assert set(BIN_METRICS) == CHANGED_BY.keys() & set(DepthBin.__struct_fields__)
+    assert set(MEANS) == MEAN_OF.keys()
+
+
+@pytest.mark.parametrize("disturbance", [POSITION, HEADING, TILT, SIZE, RANKING])
+def test_resampled_metrics_react_to_what_the_metrics_react_to(disturbance: str) -> None:
+    """On equal draws a disturbance moves the resamples, and so the intervals, of the same metrics as the scores."""
+    before, after = _replicates(), _replicates(disturbance)
+
+    changed = {
+        name
+        for index, name in enumerate(METRICS)
+        if not np.allclose(before.classes[..., index], after.classes[..., index], rtol=0, atol=1e-12, equal_nan=True)
+    }
+    assert changed == {name for name, what in CHANGED_BY.items() if disturbance in what}
+
+
+def test_the_order_of_images_means_nothing_to_resamples_of_equal_draws() -> None:
+    """Images in another order, each drawn as often as before, give the same resampled metrics, working points and bins."""
+    order = [3, 0, 6, 2, 5, 1, 4]
+    weights = np.empty_like(WEIGHTS)
+    weights[:, order] = WEIGHTS
+    shuffled = replicate(_evaluation(image_of=order).statistics, weights, by_depth=True)
+
+    before = _replicates()
+    for name in ("classes", "means", "working_point", "true_positives", "depth_bins"):
+        assert np.allclose(getattr(shuffled, name), getattr(before, name), rtol=0, atol=1e-12, equal_nan=True), name
 
 
 def _functions(module: ModuleType) -> dict[str, Callable[..., Float64Array]]:
