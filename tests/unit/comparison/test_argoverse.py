@@ -49,6 +49,21 @@ def test_a_hundred_predictions_of_an_image_count() -> None:
     assert dropped.classes[0].ate_m is None
 
 
+def test_two_boxes_on_one_centre_cannot_both_be_matched() -> None:
+    """Both predictions go to the same box, so ground truth against itself finds one half, as in av2."""
+    # a hit, then a false positive at recall 1/2; the 51st of 101 recalls, 0.5, is read behind both, at precision 1/2
+    truth = [Box(), Box(dimensions=(6.0, 2.0, 1.5))]
+    assert score(truth, truth).map == pytest.approx((50 + 0.5) / 101)
+
+
+def test_of_more_than_a_hundred_boxes_of_an_image_a_hundred_can_be_matched() -> None:
+    """Ground truth against itself loses the hundred-and-first box, as in av2."""
+    truth = [Box(center=(20.0 + 2 * (i % 50), 3.0 * (i // 50), 0.75)) for i in range(101)]
+    # precision 1 up to recall 100/101, which is 100 of the 101 recalls 0, 0.01 ... 1
+    assert score(truth, truth).map == pytest.approx(100 / 101)
+    assert score(truth[:100], truth[:100]).map == 1.0
+
+
 def test_without_a_match_errors_are_undefined_and_the_score_is_zero() -> None:
     """Nothing to measure on is None; the composite is still 0, because AP is."""
     car = score([Box()], []).classes[0]
