@@ -75,6 +75,10 @@ The precision envelope is a maximum over what fluctuates, so the bias of AP shri
 """
 
 
+TIE = 1e-12
+"""Scores that differ by less are equal: the same numbers, summed up in another order."""
+
+
 def bca_bounds(estimate: Float64Array, drawn: Float64Array, acceleration: Float64Array, level: float) -> Float64Array:
     """Return bias-corrected and accelerated bounds (Efron and Tibshirani, section 14.3).
 
@@ -100,7 +104,8 @@ def bca_bounds(estimate: Float64Array, drawn: Float64Array, acceleration: Float6
 def bias(estimate: Float64Array, drawn: Float64Array) -> Float64Array:
     """Return (K,) by how many standard deviations the median replicate lies below the estimate; 0 when undefined."""
     count = np.maximum((~np.isnan(drawn)).sum(axis=0), 1)
-    below = ((drawn < estimate).sum(axis=0) + (drawn == estimate).sum(axis=0) / 2) / count
+    gap = drawn - estimate
+    below = ((gap < -TIE).sum(axis=0) + (gap <= TIE).sum(axis=0)) / 2 / count
     limit = 0.5 / count
     below = np.where(np.isnan(estimate), 0.5, np.clip(below, limit, 1 - limit))
     return np.array([_NORMAL.inv_cdf(share) for share in below.tolist()])
