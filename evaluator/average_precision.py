@@ -45,11 +45,17 @@ def average_precision(precision: Float64Array, recall: Float64Array) -> Float64A
     Returns:
         (...) in [0, 1], greater is better.
     """
-    order = np.argsort(recall, axis=-1, kind="stable")
-    recall = np.take_along_axis(recall, order, axis=-1)
-    precision = np.take_along_axis(precision, order, axis=-1)
+    recall, precision = _by_ascending_recall(recall, precision)
     envelope = np.maximum.accumulate(precision[..., ::-1], axis=-1)[..., ::-1]
     return np.asarray((np.diff(recall, axis=-1, prepend=0.0) * envelope).sum(axis=-1))
+
+
+def _by_ascending_recall(recall: Float64Array, precision: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Order both by recall, without sorting where it only falls with the threshold, as it nearly always does."""
+    if (recall[..., 1:] <= recall[..., :-1]).all():
+        return recall[..., ::-1], precision[..., ::-1]
+    order = np.argsort(recall, axis=-1, kind="stable")
+    return np.take_along_axis(recall, order, axis=-1), np.take_along_axis(precision, order, axis=-1)
 
 
 def working_point_index(

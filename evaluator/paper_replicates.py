@@ -4,14 +4,17 @@ Between two scores of true positives only false positives come in: precision fal
 envelope nor c_w can lie there. The curves are therefore computed at the scores of true positives alone, which is exact.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.average_precision import precision_and_recall
 from evaluator.predictions import Float64Array
-from evaluator.resampling import Weighting, weighting_count, weights_of
+from evaluator.resampling import WeightArray, Weighting, weights_of_images
 from evaluator.statistics import Statistics
 
 
@@ -26,61 +29,63 @@ class _Group:
     true_start: NDArray[np.intp]
     """(S,) the first true positive with each score."""
     false_image: NDArray[np.intp]
-    """Image of each false positive with at least the lowest of the scores, in the order of their scores."""
+    """Image of each false positive, in the order of their scores."""
     false_start: NDArray[np.intp]
     """(S,) the first false positive with at least each score."""
     ground_truth_image: NDArray[np.intp]
     """Image of each ground-truth box."""
 
 
-def paper_average_precision(statistics: Statistics, weights: Weighting) -> tuple[Float64Array, Float64Array]:
-    """Compute AP and c_w of each class.
+class ScoreCurves:
+    """Precision and recall of one submission at every score; its boxes are sorted once."""
 
-    Args:
-        statistics: Outcomes of I images, matched by `match_by_paper`.
-        weights: (R, I) how often each image counts, or the jackknife.
+    def __init__(self, statistics: Statistics) -> None:
+        """Sort on demand.
 
-    Returns:
-        AP and c_w, both (R, C); 0 without true positives. A fixed c_w is what it is in every row.
-    """
-    classes, bins = statistics.grid
-    ap, working_point = _by_group(statistics, weights, np.arange(classes * bins) // bins)
-    fixed = statistics.protocol.working_point
-    return ap, working_point if fixed is None else np.full_like(ap, min(max(fixed, 0.0), 1.0))
+        Args:
+            statistics: Outcomes of I images, matched by `match_by_paper`.
+        """
+        self._statistics = statistics
 
+    def of_classes(self, weights: Weighting) -> tuple[Float64Array, Float64Array]:
+        """Compute AP and c_w of each class.
 
-def paper_depth_average_precision(statistics: Statistics, weights: Weighting) -> Float64Array:
-    """Compute AP in each depth bin: (R, C, B), NaN without ground truth in the resample."""
-    classes, bins = statistics.grid
-    ap, _ = _by_group(statistics, weights, np.arange(classes * bins))
-    return ap.reshape(-1, classes, bins)[..., :-1]
+        Args:
+            weights: (R, I) how often each image counts, or the jackknife.
 
+        Returns:
+            AP and c_w, both (R, C); AP is NaN without ground truth in the resample, and 0, as c_w is, without true
+            positives. A fixed c_w is what it is in every row.
+        """
+        ap, working_point = _curves(self._classes, weights)
+        fixed = self._statistics.protocol.working_point
+        return ap, working_point if fixed is None else np.full_like(ap, min(max(fixed, 0.0), 1.0))
 
-def _by_group(
-    statistics: Statistics, weights: Weighting, group_of_cell: NDArray[np.intp]
-) -> tuple[Float64Array, Float64Array]:
-    """Return AP and c_w of each of G groups of cells, both (R, G): AP is NaN without ground truth in the resample."""
-    groups = int(group_of_cell.max()) + 1
-    ap, working_point = np.zeros((2, weighting_count(weights), groups))
-    for index, group in enumerate(_groups(statistics, group_of_cell, groups)):
-        for rows in _blocks(weighting_count(weights), max(len(group.true_image), len(group.false_image))):
-            ap[rows, index], working_point[rows, index] = _curves(group, weights, rows)
-    return ap, working_point
+    def of_cells(self, weights: Weighting, cells: NDArray[np.intp]) -> Float64Array:
+        """Compute AP in depth bins.
 
+        Args:
+            weights: (R, I) how often each image counts, or the jackknife.
+            cells: (N,) which classes in which depth bins.
 
-def _blocks(count: int, boxes: int) -> list[NDArray[np.intp]]:
-    """Split weightings so that the curves of a block, which have so many boxes, stay small in memory."""
-    rows = min(_MOST_ROWS, max(1, _MOST_NUMBERS // max(1, boxes)))
-    return np.array_split(np.arange(count), max(1, -(-count // rows)))
+        Returns:
+            (R, N); NaN without ground truth in the resample.
+        """
+        return _curves([self._cells[cell] for cell in cells.tolist()], weights)[0]
 
+    @cached_property
+    def _classes(self) -> list[_Group]:
+        classes, bins = self._statistics.grid
+        return _groups(self._statistics, np.arange(classes * bins) // bins, classes)
 
-_MOST_ROWS = 250
-_MOST_NUMBERS = 1_000_000
-"""Weights in a block, about 20 bytes each with their sums."""
+    @cached_property
+    def _cells(self) -> list[_Group]:
+        cells = int(np.prod(self._statistics.grid))
+        return _groups(self._statistics, np.arange(cells), cells)
 
 
 def _groups(statistics: Statistics, group_of_cell: NDArray[np.intp], groups: int) -> list[_Group]:
-    """Sort the outcomes of each group by score."""
+    """Sort the outcomes of each of G groups of cells by score."""
     true_group = group_of_cell[statistics.pair_cell]
     false_group = group_of_cell[statistics.false_positive_cell]
     ground_truth_group = group_of_cell[statistics.ground_truth_cell]
@@ -109,23 +114,73 @@ def _group(
     )
 
 
-def _curves(group: _Group, weights: Weighting, rows: NDArray[np.intp]) -> tuple[Float64Array, Float64Array]:
-    """Return AP and c_w of one group under some of the weightings."""
-    ground_truth = weights_of(weights, rows, group.ground_truth_image).sum(axis=1, dtype=np.float64)
-    if not len(group.scores):
-        return np.where(ground_truth > 0, 0.0, np.nan), np.zeros(len(rows))
-    precision, recall = precision_and_recall(
-        _at_least(weights_of(weights, rows, group.true_image), group.true_start),
-        _at_least(weights_of(weights, rows, group.false_image), group.false_start),
-        ground_truth,
-    )
-    envelope = np.maximum.accumulate(precision, axis=1)
-    ap = (-np.diff(recall, axis=1, append=0.0) * envelope).sum(axis=1)
-    return np.where(ground_truth > 0, ap, np.nan), group.scores[np.argmax(precision * recall, axis=1)]
+def _curves(groups: list[_Group], weights: Weighting) -> tuple[Float64Array, Float64Array]:
+    """Return AP and c_w of G groups, both (R, G); AP is NaN without ground truth in the resample."""
+    of_image = weights_of_images(weights)
+    found = [_sweep(group, of_image) for group in groups]
+    ap, working_point = np.array(found).reshape(len(groups), 2, of_image.shape[1]).transpose(1, 2, 0)
+    return ap, working_point
 
 
-def _at_least(weighted: NDArray[np.float32], start: NDArray[np.intp]) -> Float64Array:
-    """Sum (R, N) weights of what is ordered by score from each start to the end: (R, S)."""
-    sums = np.zeros((len(weighted), weighted.shape[1] + 1))
-    np.cumsum(weighted, axis=1, out=sums[:, 1:], dtype=np.float64)
-    return np.asarray(sums[:, -1:] - sums[:, start])
+_SCORES_AT_ONCE = 32
+"""A block of so many scores under some thousand weightings stays in the processor's cache."""
+
+
+def _sweep(group: _Group, of_image: WeightArray) -> tuple[Float64Array, Float64Array]:
+    """Return AP and c_w of one group, both (R,), going from its lowest score to the highest.
+
+    Args:
+        group: S scores.
+        of_image: (I, R) how often each image counts.
+    """
+    ground_truth = _total(of_image, group.ground_truth_image).astype(np.float64)
+    ap, envelope, working_point = np.zeros((3, len(ground_truth)))
+    greatest = np.full(len(ground_truth), -1.0)
+    blocks = range(0, len(group.scores), _SCORES_AT_ONCE)
+    for start, true, false in zip(
+        blocks,
+        _at_least(of_image, group.true_image, group.true_start),
+        _at_least(of_image, group.false_image, group.false_start),
+        strict=True,
+    ):
+        precision, recall = precision_and_recall(true.T, false.T, ground_truth)
+        area, envelope = _area(precision, recall, envelope)
+        ap += area
+        product = precision * recall
+        value = product.max(axis=1)
+        better = np.flatnonzero(value > greatest)
+        greatest[better] = value[better]
+        working_point[better] = group.scores[start + product[better].argmax(axis=1)]
+    return np.where(ground_truth > 0, ap, np.nan), working_point
+
+
+def _area(precision: Float64Array, recall: Float64Array, envelope: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Return (R,) what (R, S) further scores add to AP, and the envelope after them, by the (R,) envelope before.
+
+    Each step of the envelope counts with the recall down to which it holds.
+    """
+    steps = np.empty((precision.shape[1] + 1, len(precision)))
+    steps[0] = envelope
+    for at_score, before, after in zip(precision.T, steps, steps[1:], strict=False):
+        np.maximum(before, at_score, out=after)
+    return np.einsum("sr,sr->r", np.diff(steps, axis=0), recall.T), steps[-1]
+
+
+def _at_least(of_image: WeightArray, images: NDArray[np.intp], start: NDArray[np.intp]) -> Iterator[Float64Array]:
+    """Yield, block by block of starts, (S, R) sums of the weights of the images from each start to the end."""
+    rows = list(of_image)
+    left = _total(of_image, images[start.min(initial=len(images)) :])
+    spans = list(pairwise([*start.tolist(), len(images)]))
+    for first in range(0, len(spans), _SCORES_AT_ONCE):
+        block = spans[first : first + _SCORES_AT_ONCE]
+        sums = np.empty((len(block), len(left)))
+        for sum_, (begin, end) in zip(sums, block, strict=True):
+            sum_[:] = left
+            for image in images[begin:end].tolist():
+                left -= rows[image]
+        yield sums
+
+
+def _total(of_image: WeightArray, images: NDArray[np.intp]) -> WeightArray:
+    """Return (R,) how many of these images, which may come more than once, each weighting counts. Exact below 2^24."""
+    return np.bincount(images, minlength=len(of_image)).astype(np.float32) @ of_image

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.average_precision import average_precision, precision_and_recall, working_point_index
-from evaluator.depth_replicates import depth_average_precision
-from evaluator.paper_replicates import paper_average_precision, paper_depth_average_precision
+from evaluator.paper_replicates import ScoreCurves
 from evaluator.predictions import Float64Array
 from evaluator.protocol import PAPER
-from evaluator.resampling import Weighting, total, total_of
+from evaluator.resampling import Weighting, totals_of
 from evaluator.statistics import Statistics
-from evaluator.thresholds import count_by_group, has_threshold
+from evaluator.threshold_replicates import ThresholdCurves
+from evaluator.thresholds import has_threshold
 from evaluator.true_positive_metrics import integral_over_range, mean_over_bins
 
 METRICS = ("ap", "bevcd", "yaw_sim", "pr_sim", "size_sim", "detection_score")
@@ -42,63 +41,58 @@ class Replicates:
     true_positives: Float64Array
     """(R, C, B) in each depth bin at the working point."""
     depth_bins: Float64Array
-    """(R, C, B, 5) in the order of `BIN_METRICS`; B is 0 unless depth bins are asked for."""
+    """(R, C, B, 5) in the order of `BIN_METRICS`; NaN also in bins not asked for, and B is 0 where none are."""
+
+
+class Replicator:
+    """Computes all scores of one submission for weightings of the images; what these have in common is done once."""
+
+    def __init__(self, statistics: Statistics) -> None:
+        """Take the outcomes of I images."""
+        self._statistics = statistics
+        self._by_paper = statistics.protocol.name == PAPER.name
+        self._curves = ScoreCurves(statistics) if self._by_paper else ThresholdCurves(statistics)
+
+    def replicate(self, weights: Weighting, bins: NDArray[np.bool_] | None = None) -> Replicates:
+        """Compute all scores for each weighting.
+
+        Args:
+            weights: (R, I) how often each image counts, or the jackknife.
+            bins: (C, B) of which depth bins to compute the metrics, too; those of the others are NaN. None: no bins.
+
+        Returns:
+            The replicates.
+        """
+        ap, working_point = self._curves.of_classes(weights)
+        sums = _sums_at_working_points(self._statistics, weights, working_point)
+        similarities = (integral_over_range if self._by_paper else mean_over_bins)(sums[..., :-1], sums[..., -1])
+        detection = ap * similarities.sum(axis=-1) / similarities.shape[-1]
+        classes = np.concatenate([ap[..., None], similarities, detection[..., None]], axis=-1)
+        classes[np.isnan(ap)] = np.nan
+        depth_bins = self._depth_bins(weights, sums, bins)
+        return Replicates(classes, _mean_over_classes(classes), working_point, sums[..., -1], depth_bins)
+
+    def _depth_bins(self, weights: Weighting, sums: Float64Array, wanted: NDArray[np.bool_] | None) -> Float64Array:
+        """Return `Replicates.depth_bins` by (R, C, B, 5) sums at the working points."""
+        if wanted is None:
+            return np.zeros((*sums.shape[:2], 0, len(BIN_METRICS)))
+        classes, bins = self._statistics.grid
+        cells = np.arange(classes * bins).reshape(classes, bins)[:, :-1][wanted]
+        result = np.full((*sums.shape[:-1], len(BIN_METRICS)), np.nan)
+        result[:, wanted, 0] = self._curves.of_cells(weights, cells)
+        result[:, wanted, 1:] = _bin_means(sums[:, wanted])
+        return result
 
 
 def replicate(statistics: Statistics, weights: Weighting, *, by_depth: bool = False) -> Replicates:
-    """Compute all scores for each weighting.
-
-    Args:
-        statistics: Outcomes of I images.
-        weights: (R, I) how often each image counts, or the jackknife.
-        by_depth: Compute the metrics of each depth bin, too, which about doubles the time.
-
-    Returns:
-        The replicates.
-    """
-    by_paper = statistics.protocol.name == PAPER.name
-    ap, working_point = (paper_average_precision if by_paper else _average_precision)(statistics, weights)
-    sums = _sums_at_working_points(statistics, weights, working_point)
-    similarities = (integral_over_range if by_paper else mean_over_bins)(sums[..., :-1], sums[..., -1])
-    detection = ap * similarities.sum(axis=-1) / similarities.shape[-1]
-    classes = np.concatenate([ap[..., None], similarities, detection[..., None]], axis=-1)
-    classes[_ground_truth(statistics, weights) == 0] = np.nan
-    if by_depth:
-        depth_ap = (paper_depth_average_precision if by_paper else depth_average_precision)(statistics, weights)
-        depth_bins = np.concatenate([depth_ap[..., None], _bin_means(sums)], axis=-1)
-    else:
-        depth_bins = np.zeros((*ap.shape, 0, len(BIN_METRICS)))
-    return Replicates(classes, _mean_over_classes(classes), working_point, sums[..., -1], depth_bins)
+    """Compute all scores for each weighting (`Replicator.replicate`), and those of every depth bin if asked for."""
+    return Replicator(statistics).replicate(weights, every_bin(statistics) if by_depth else None)
 
 
-def _average_precision(statistics: Statistics, weights: Weighting) -> tuple[Float64Array, Float64Array]:
-    """Return AP and c_w, both (R, C), on the thresholds of the protocol.
-
-    Single precision is exact here: these are sums of whole numbers far below 2^24.
-    """
-    images, thresholds = len(statistics.images), len(statistics.thresholds)
+def every_bin(statistics: Statistics) -> NDArray[np.bool_]:
+    """Ask for the metrics of all depth bins, (C, B)."""
     classes, bins = statistics.grid
-
-    def weighted(image: NDArray[np.int32], cell: NDArray[np.int32], masks: NDArray[np.uint64]) -> Float64Array:
-        by_image = count_by_group(image * classes + cell // bins, masks, images * classes, thresholds)
-        counts = total(weights, by_image.reshape(images, classes * thresholds).astype(np.float32))
-        return np.asarray(counts.reshape(-1, classes, thresholds).astype(np.float64))
-
-    precision, recall = precision_and_recall(
-        weighted(statistics.pair_image, statistics.pair_cell, statistics.pair_masks),
-        weighted(statistics.false_positive_image, statistics.false_positive_cell, statistics.false_positive_masks),
-        _ground_truth(statistics, weights),
-    )
-    working = working_point_index(precision, recall, statistics.thresholds, statistics.protocol.working_point)
-    return average_precision(precision, recall), statistics.thresholds[working]
-
-
-def _ground_truth(statistics: Statistics, weights: Weighting) -> Float64Array:
-    """Return (R, C) ground-truth boxes under each weighting."""
-    images, (classes, bins) = len(statistics.images), statistics.grid
-    of_image = statistics.ground_truth_image * classes + statistics.ground_truth_cell // bins
-    counts = np.bincount(of_image, minlength=images * classes).reshape(images, classes)
-    return np.asarray(total(weights, counts.astype(np.float32)).astype(np.float64))
+    return np.ones((classes, bins - 1), dtype=np.bool_)
 
 
 def _sums_at_working_points(statistics: Statistics, weights: Weighting, working_point: Float64Array) -> Float64Array:
@@ -113,7 +107,7 @@ def _sums_at_working_points(statistics: Statistics, weights: Weighting, working_
             rows = np.flatnonzero(working_point[:, label] == point)
             images, sums = _sums_by_image(statistics, label, float(point))
             flat = sums.reshape(len(images), sums.shape[1] * sums.shape[2])
-            result[rows, label] = total_of(weights, rows, images, flat).reshape(-1, *sums.shape[1:])
+            result[rows, label] = totals_of(weights, rows, images, flat).reshape(-1, *sums.shape[1:])
     return result
 
 
@@ -145,7 +139,7 @@ def _is_true_positive(statistics: Statistics, pairs: NDArray[np.intp], working_p
 
 
 def _bin_means(sums: Float64Array) -> Float64Array:
-    """Return (R, C, B, 4) similarities of each depth bin; NaN without a true positive."""
+    """Return (..., 4) similarities of depth bins, by (..., 5) sums; NaN without a true positive."""
     counts = sums[..., -1:]
     return np.where(counts > 0, sums[..., :-1] / np.maximum(counts, 1), np.nan)
 

@@ -57,6 +57,11 @@ def bootstrap_weights(images: tuple[str, ...], *, resamples: int, seed: int, uni
     return np.asarray(times.T.astype(np.float32)[member].T)
 
 
+def once(images: tuple[str, ...]) -> WeightArray:
+    """Return (1, I) weights that count every image once: the data set as it is."""
+    return np.ones((1, len(images)), dtype=np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class LeaveOneOut:
     """The jackknife: U data sets, each without one unit. Kept as it is, because subtracting is cheaper than weighting."""
@@ -83,62 +88,60 @@ def weighting_count(weighting: Weighting) -> int:
     return weighting.units if isinstance(weighting, LeaveOneOut) else len(weighting)
 
 
-def affected_rows(weighting: Weighting, images: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the weightings under which some of these images may not count exactly once."""
-    if isinstance(weighting, LeaveOneOut):
-        return np.unique(weighting.member[images]).astype(np.intp)
-    return np.arange(len(weighting))
-
-
-def total(weighting: Weighting, values: FloatingArray) -> FloatingArray:
-    """Sum up values of images under each weighting.
+def totals(
+    weighting: Weighting, images: NDArray[np.intp], values: FloatingArray
+) -> tuple[FloatingArray, NDArray[np.intp]]:
+    """Sum up values of some of the images under each weighting, once where nothing of them is left out.
 
     Args:
         weighting: R weightings of I images.
-        values: (I, K).
+        images: (J,) which images have values; the others count as 0.
+        values: (J, K).
 
     Returns:
-        (R, K), in the precision of the values.
+        (S, K) sums, in the precision of the values, and (R,) which of them is that of each weighting.
     """
-    if isinstance(weighting, LeaveOneOut):
-        every = np.arange(len(values))
-        return total_of(weighting, np.arange(weighting.units), every, values)
-    return np.asarray(weighting.astype(values.dtype, copy=False) @ values)
+    rows = np.arange(weighting_count(weighting))
+    if not isinstance(weighting, LeaveOneOut):
+        return totals_of(weighting, rows, images, values), rows
+    member = weighting.member[images]
+    order = np.argsort(member, kind="stable")
+    units, start = np.unique(member[order], return_index=True)
+    whole = values.sum(axis=0)
+    of_row = np.zeros_like(rows)
+    of_row[units] = np.arange(1, len(units) + 1)
+    return np.concatenate([whole[None], whole - np.add.reduceat(values[order], start, axis=0)]), of_row
 
 
-def total_of(
+def totals_of(
     weighting: Weighting, rows: NDArray[np.intp], images: NDArray[np.intp], values: FloatingArray
 ) -> FloatingArray:
-    """Do the same for some of the weightings and some of the images.
+    """Do the same for some of the weightings.
 
     Args:
         weighting: R weightings of I images.
         rows: (S,) which weightings.
-        images: (J,) which images have values; the others count as 0.
+        images: (J,) which images have values.
         values: (J, K).
 
     Returns:
         (S, K).
     """
-    if not isinstance(weighting, LeaveOneOut):
-        return np.asarray(weights_of(weighting, rows, images).astype(values.dtype) @ values)
-    of_unit = np.zeros((weighting.units, values.shape[1]), dtype=values.dtype)
-    np.add.at(of_unit, weighting.member[images], values)
-    return np.asarray(values.sum(axis=0) - of_unit[rows])
-
-
-def weights_of(weighting: Weighting, rows: NDArray[np.intp], images: NDArray[np.intp]) -> WeightArray:
-    """Return (S, J) how often each of these weightings counts each of these images, which may come more than once.
-
-    On the way there is nothing larger than the weightings or the answer.
-    """
     if isinstance(weighting, LeaveOneOut):
-        return np.asarray(weighting.member[images] != rows[:, None], dtype=np.float32)
+        distinct, of_row = totals(weighting, images, values)
+        return distinct[of_row[rows]]
     if len(rows) == len(weighting):
-        return np.asarray(weighting.T[images].T)
-    if len(images) > weighting.shape[1]:
-        return np.asarray(weighting.T[:, rows][images].T)
-    return np.asarray(weighting.T[images][:, rows].T)
+        return np.asarray(weighting.T.take(images, axis=0).T.astype(values.dtype, copy=False) @ values)
+    chosen = weighting.T.take(rows, axis=1).take(images, axis=0).T
+    # The layout decides on the last bit of a product, and stored replicates are compared bit by bit.
+    return np.asarray(chosen.astype(values.dtype, order="C") @ values)
+
+
+def weights_of_images(weighting: Weighting) -> WeightArray:
+    """Return (I, R) how often each image counts, R numbers together in memory."""
+    if isinstance(weighting, LeaveOneOut):
+        return np.asarray(weighting.member[:, None] != np.arange(weighting.units), dtype=np.float32)
+    return np.ascontiguousarray(weighting.T)
 
 
 def unit_index(images: tuple[str, ...], unit: Unit) -> IndexArray:

@@ -24,8 +24,8 @@ from evaluator.confidence import (
 from evaluator.errors import UsageError
 from evaluator.interval_rules import FEWEST_UNITS, sufficient
 from evaluator.predictions import Float64Array
-from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, replicate
-from evaluator.resampling import Unit, bootstrap_weights, leave_one_out
+from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, Replicator, every_bin, replicate
+from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, once
 from evaluator.statistics import Statistics
 
 RESAMPLES = 1000
@@ -92,10 +92,15 @@ def bootstrap(
     images = statistics.images
     weights = bootstrap_weights(images, resamples=resamples, seed=seed, unit=unit)
     jackknife = leave_one_out(images, unit=unit)
+    replicator = Replicator(statistics)
+    bins = every_bin(statistics) if by_depth else None
+    estimate = replicator.replicate(once(images), bins)
+    if by_depth:
+        bins = np.asarray(sufficient(statistics, estimate, jackknife.units)[-1].any(axis=-1))
     return Bootstrap(
-        estimate=replicate(statistics, np.ones((1, len(images)), dtype=np.float32), by_depth=by_depth),
-        drawn=replicate(statistics, weights, by_depth=by_depth),
-        left_out=replicate(statistics, jackknife, by_depth=by_depth) if method == "bca" else None,
+        estimate=estimate,
+        drawn=replicator.replicate(weights, bins),
+        left_out=replicator.replicate(jackknife, bins) if method == "bca" else None,
         units=jackknife.units,
     )
 
@@ -119,7 +124,7 @@ def intervals(
         unit: What is drawn as a whole.
         level: Confidence level in (0, 1).
         method: "bca" (bias-corrected and accelerated, from a jackknife over the units), which covers best where
-            scores are biased by few boxes, or "percentile", which costs half.
+            scores are biased by few boxes, or "percentile", which costs two thirds.
         by_depth: Give those of the depth bins, too.
 
     Returns:
@@ -148,8 +153,7 @@ def intervals(
 
 def _undrawn(statistics: Statistics, *, unit: Unit, by_depth: bool) -> Bootstrap:
     """Return the scores of what has too few images to be resampled; no interval comes of it."""
-    ones = np.ones((1, len(statistics.images)), dtype=np.float32)
-    estimate = replicate(statistics, ones, by_depth=by_depth)
+    estimate = replicate(statistics, once(statistics.images), by_depth=by_depth)
     units = leave_one_out(statistics.images, unit=unit).units
     return Bootstrap(estimate=estimate, drawn=estimate, left_out=None, units=units)
 
@@ -178,21 +182,24 @@ def _intervals(
     found: Bootstrap, part: Callable[[Replicates], Float64Array], enough: NDArray[np.bool_], level: float
 ) -> NDArray[np.object_]:
     """Return the intervals of one part of the replicates in its shape, None where there is none."""
-    estimate, drawn = part(found.estimate).ravel(), _flat(part(found.drawn))
+    estimate = part(found.estimate)[0]
+    given = enough & ~np.isnan(estimate)
+    drawn = _columns(part(found.drawn), given)
     if found.left_out is None:
         bounds = percentile_bounds(drawn, level)
     else:
-        bounds = bca_bounds(estimate, drawn, accelerations(_flat(part(found.left_out))), level)
-    given = enough.ravel() & ~np.isnan(estimate) & ~np.isnan(bounds[0])
-    result = np.full(estimate.shape, None, dtype=np.object_)
-    for index in np.flatnonzero(given).tolist():
-        lower, upper = bounds[:, index].tolist()
-        result[index] = Interval(estimate=float(estimate[index]), lower=lower, upper=upper)
-    return result.reshape(enough.shape)
+        bounds = bca_bounds(estimate[given], drawn, accelerations(_columns(part(found.left_out), given)), level)
+    result = np.full(enough.shape, None, dtype=np.object_)
+    result[given] = [
+        None if np.isnan(lower) else Interval(estimate=value, lower=lower, upper=upper)
+        for value, lower, upper in zip(estimate[given].tolist(), *bounds.tolist(), strict=True)
+    ]
+    return result
 
 
-def _flat(values: Float64Array) -> Float64Array:
-    return values.reshape(len(values), -1)
+def _columns(values: Float64Array, given: NDArray[np.bool_]) -> Float64Array:
+    """Return (R, N) those of (R, ...) replicates of which an interval is given, row by row in memory."""
+    return values.reshape(len(values), -1).compress(given.ravel(), axis=1)
 
 
 def _named(names: tuple[str, ...], found: NDArray[np.object_]) -> tuple[NamedIntervals, ...]:
@@ -236,15 +243,15 @@ def compare(
     if (first.images, first.protocol) != (second.images, second.protocol):
         raise UsageError("Only submissions evaluated on the same images under the same protocol can be compared.")
     require_level(level)
-    ones = np.ones((1, len(first.images)), dtype=np.float32)
     units = leave_one_out(first.images, unit=unit).units
-    scores = replicate(first, ones), replicate(second, ones)
+    sides = Replicator(first), Replicator(second)
+    scores = [side.replicate(once(first.images)) for side in sides]
     known = sufficient(first, scores[0], units)[0] & sufficient(second, scores[1], units)[0]
     if not known.any():
         return dict.fromkeys(MEANS)
     weights = bootstrap_weights(first.images, resamples=resamples, seed=seed, unit=unit)
     estimate = scores[0].means[0] - scores[1].means[0]
-    drawn = replicate(first, weights).means - replicate(second, weights).means
+    drawn = sides[0].replicate(weights).means - sides[1].replicate(weights).means
     return {
         name: compare_replicates(float(estimate[i]), drawn[:, i], level) if known[i] else None
         for i, name in enumerate(MEANS)

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from evaluator.errors import UsageError
-from evaluator.evaluation import Evaluation, evaluate
+from evaluator.evaluation import Evaluation, evaluate, signature_of
 from evaluator.ground_truth import read_ground_truth
-from evaluator.paper_replicates import paper_average_precision
+from evaluator.paper_replicates import ScoreCurves
 from evaluator.parallel import ground_truth_of
 from evaluator.predictions import Float64Array
 from evaluator.protocol import CITYSCAPES3D, PAPER, Protocol
-from evaluator.replicates import BIN_METRICS, METRICS, Replicates, replicate
+from evaluator.replicates import BIN_METRICS, METRICS, Replicates, Replicator, every_bin, replicate
 from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, unit_index
 from evaluator.results import Scores
+from evaluator.scoring import score
 from evaluator.uncertainty import intervals
 from tests.array_factories import make_ground_truth, make_predictions
 from tests.prediction_arrays import load_predictions
@@ -115,6 +116,37 @@ def test_depth_bins_are_left_out_unless_asked_for(evaluation: Evaluation) -> Non
     assert np.array_equal(with_bins.classes, without.classes, equal_nan=True)
 
 
+def test_depth_bins_not_asked_for_are_undefined(evaluation: Evaluation) -> None:
+    """The nearest bins of all classes are what they are when all bins are computed; the others are NaN."""
+    statistics = evaluation.statistics
+    weights = bootstrap_weights(statistics.images, resamples=5, seed=1)
+    nearest = every_bin(statistics)
+    nearest[:, 4:] = False
+
+    found = Replicator(statistics).replicate(weights, nearest)
+
+    every = replicate(statistics, weights, by_depth=True)
+    assert np.array_equal(found.depth_bins[:, :, :4], every.depth_bins[:, :, :4], equal_nan=True)
+    assert not np.isnan(found.depth_bins[:, :, :4]).all()
+    assert np.isnan(found.depth_bins[:, :, 4:]).all()
+
+
+def test_boxes_that_come_and_go_with_the_threshold_are_counted_where_they_are() -> None:
+    """Outcomes at thresholds drawn at random, which rise and fall, give the scores of the evaluation of these outcomes."""
+    truth = read_ground_truth(CASE / "gt")
+    statistics = evaluate(truth, load_predictions(CASE / "pred", truth.images, CITYSCAPES3D.labels)).statistics
+    rng, every = np.random.default_rng(1), 2 ** len(statistics.thresholds)
+    drawn = replace(
+        statistics,
+        pair_masks=rng.integers(0, every, len(statistics.pair_masks), dtype=np.uint64),
+        false_positive_masks=rng.integers(0, every, len(statistics.false_positive_masks), dtype=np.uint64),
+    )
+
+    found = replicate(drawn, np.ones((1, len(drawn.images)), dtype=np.float32), by_depth=True)
+
+    _equal(found, score(drawn, signature_of(CITYSCAPES3D, "g", "p")))
+
+
 def test_memory_does_not_grow_with_resamples_of_false_positives() -> None:
     """Under `paper` 20,000 false positives of a class on 500 resamples would take 40 MB of weights alone; 20 MB do."""
     truth = read_ground_truth(CASE / "gt")
@@ -131,7 +163,7 @@ def test_memory_does_not_grow_with_resamples_of_false_positives() -> None:
 
     tracemalloc.start()
     try:
-        paper_average_precision(many, weights)
+        ScoreCurves(many).of_classes(weights)
         _, peak_bytes = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
