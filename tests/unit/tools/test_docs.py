@@ -8,6 +8,7 @@ import pytest
 from pydantic import SecretStr
 
 import do
+from bench.protocol_differences import VARIANTS
 from server.admin.main import build_parser
 from server.settings import Settings
 
@@ -65,6 +66,40 @@ def test_links_within_the_tree_lead_somewhere(page: Path) -> None:
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text())
     local = [target for target in targets if "://" not in target and not target.startswith("mailto:")]
     assert [target for target in local if not (page.parent / target).exists()] == []
+
+
+def test_code_named_with_its_file_is_there() -> None:
+    """Wherever a page says `name`, `other` (evaluator/file.py), or `name` in evaluator/file.py, that file has them."""
+    pattern = re.compile(r"((?:`\w+`,\s)*`\w+`)\s(?:\(|in\s)((?:evaluator|bench)/[\w/]+\.py)")
+    named = [
+        (name, path)
+        for page in PAGES
+        for names, path in pattern.findall(page.read_text())
+        for name in re.findall(r"\w+", names)
+    ]
+    assert len(named) > 20
+    assert [(name, path) for name, path in named if not _defines(ROOT / path, name)] == []
+
+
+def _defines(path: Path, name: str) -> bool:
+    """Tell whether a module has a function, class or constant of this name."""
+    return re.search(rf"^\s*(?:def |class )?{name}\b[ :(=]", path.read_text(), re.MULTILINE) is not None
+
+
+def test_every_difference_between_the_protocols_has_its_formulas_and_its_effect() -> None:
+    """Each numbered line of the bench has a section of that number and a row with the same words."""
+    page = (ROOT / "docs" / "protocol.md").read_text()
+    measured = [name for name in VARIANTS if re.match(r"\d+ (?!and |to )", name)]
+    described = re.findall(r"^### (\d+)(?: and (\d+))? ", page, re.MULTILINE)
+    assert [name.split()[0] for name in measured] == [number for pair in described for number in pair if number]
+    assert [name for name in measured if f"\n| {name} | " not in page] == []
+
+
+def test_every_page_can_be_found_from_the_first() -> None:
+    """docs/index.md links every page beside it."""
+    index = (ROOT / "docs" / "index.md").read_text()
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    assert {page for page in pages if f"({page})" not in index} == set()
 
 
 def test_the_readme_names_real_commands() -> None:
