@@ -1,18 +1,25 @@
 """What the documentation says is so."""
 
 import argparse
+import os
 import re
+import shutil
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from pydantic import SecretStr
 
 import do
+import evaluator
 from bench.protocol_differences import VARIANTS
 from server.admin.main import build_parser
 from server.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[3]
+README = (ROOT / "README.md").read_text()
 OPERATING = (ROOT / "docs" / "operating.md").read_text()
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -104,9 +111,37 @@ def test_every_page_can_be_found_from_the_first() -> None:
 
 def test_the_readme_names_real_commands() -> None:
     """`do.py` commands that the README and CONTRIBUTING show exist."""
-    text = (ROOT / "README.md").read_text() + (ROOT / "CONTRIBUTING.md").read_text()
+    text = README + (ROOT / "CONTRIBUTING.md").read_text()
     shown = set(re.findall(r"python3 do\.py ([a-z]+)", text))
     assert shown <= {run.__name__ for run, _ in do.COMMANDS}
+
+
+def test_the_readme_prints_what_it_shows(tmp_path: Path) -> None:
+    """Its Python, run on a recorded case under the names it uses, prints the block that follows it."""
+    script, printed = re.findall(r"<!-- printed -->\n```python\n(.*?)```\n```text\n(.*?)```", README, re.DOTALL)[0]
+    case = ROOT / "tests" / "data" / "oracle" / "realistic60"
+    shutil.copytree(case / "gt", tmp_path / "gtBbox3d" / "val")
+    shutil.make_archive(str(tmp_path / "predictions"), "zip", case / "pred")
+
+    ended = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    assert (ended.stderr, ended.stdout) == ("", printed)
+
+
+def test_the_ways_into_the_evaluator_exist() -> None:
+    """Each name in the docstring of the package is a function of the module named with it."""
+    rows = re.findall(r"^    ([\w.]+)\.(\w+)(?:, (\w+))? {2,}", evaluator.__doc__ or "", re.MULTILINE)
+    assert len(rows) > 5
+    for module, *functions in rows:
+        for function in filter(None, functions):
+            assert callable(getattr(import_module(f"evaluator.{module}"), function))
 
 
 def test_decisions_are_numbered_without_gaps() -> None:
