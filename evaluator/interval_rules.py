@@ -14,16 +14,14 @@ from evaluator.statistics import Statistics
 
 FEWEST_UNITS = 500
 """Images, or sequences or cities where these are drawn, for any interval, and for any difference of two submissions."""
-FEWEST_BOXES = 30
-"""Ground-truth boxes of a class for its AP and detection score."""
-FEWEST_BOXES_FOR_MEANS = 10
-"""Ground-truth boxes of each class for mAP and mDS, to which a class adds no more than its share."""
+FEWEST_BOXES = 10
+"""Ground-truth boxes of a class for its AP and detection score, and of each class for mAP and mDS."""
 FEWEST_BOXES_FOR_DIFFERENCE = 500
 """Ground-truth boxes of a class for the difference of two detection scores: what both find alike cancels, little is left."""
 FEWEST_BOXES_IN_BIN = 20
 """Ground-truth boxes in a depth bin for its AP."""
-FEWEST_TRUE_POSITIVES = 5
-"""Of a class for its AP and detection score: of what is hardly ever found, resamples show next to nothing."""
+FEWEST_TRUE_POSITIVES = 10
+"""Of a class for its AP and detection score, not for mAP and mDS, of which what is hardly ever found is a small part."""
 FEWEST_TRUE_POSITIVES_IN_BIN = 20
 """In a depth bin for its similarities."""
 FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW = 400
@@ -58,7 +56,7 @@ def sufficient(statistics: Statistics, estimate: Replicates, units: int) -> tupl
     similarities = per_bin >= FEWEST_TRUE_POSITIVES_PER_BIN, per_bin >= FEWEST_TRUE_POSITIVES_PER_BIN_FOR_YAW
     known = (of_class >= FEWEST_BOXES) & (found.sum(axis=1) >= FEWEST_TRUE_POSITIVES)
     classes = _by_metric(METRICS, known, *similarities)
-    means = _by_metric(METRICS, of_class >= FEWEST_BOXES_FOR_MEANS, *similarities)[of_class > 0].all(axis=0)
+    means = _by_metric(METRICS, of_class >= FEWEST_BOXES, *similarities)[of_class > 0].all(axis=0)
     bins = _by_metric(
         BIN_METRICS,
         boxes[:, :-1] >= FEWEST_BOXES_IN_BIN,

@@ -8,7 +8,6 @@ import pytest
 from evaluator.evaluation import evaluate
 from evaluator.interval_rules import (
     FEWEST_BOXES,
-    FEWEST_BOXES_FOR_MEANS,
     FEWEST_BOXES_IN_BIN,
     FEWEST_TRUE_POSITIVES,
     FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW,
@@ -46,13 +45,13 @@ def _given(cars_by_bin: list[int], *, trucks: int = 0, units: int = FEWEST_UNITS
 
 
 def test_enough_boxes_give_average_precision_and_detection_score() -> None:
-    """Thirty boxes do, 29 do not; thirty in five bins are too few for similarities."""
-    assert _given([6, 6, 6, 6, FEWEST_BOXES - 24])[1] == {"ap", "detection_score"}
-    assert _given([6, 6, 6, 6, FEWEST_BOXES - 25])[1] == set()
+    """Ten boxes do, nine do not; ten in five bins are too few for similarities."""
+    assert _given([2, 2, 2, 2, FEWEST_BOXES - 8])[1] == {"ap", "detection_score"}
+    assert _given([2, 2, 2, 2, FEWEST_BOXES - 9])[1] == set()
 
 
 def test_a_class_hardly_found_has_no_interval() -> None:
-    """Five of the boxes must be found, however many there are."""
+    """Ten of the boxes must be found, however many there are."""
     statistics, estimate = _found([1000])
     found = np.zeros_like(estimate.true_positives)
 
@@ -87,8 +86,8 @@ def test_a_mean_needs_enough_of_every_class_with_ground_truth() -> None:
     cars = [100, 100]
 
     assert _given(cars)[0] >= {"ap", "detection_score", "bevcd"}
-    assert _given(cars, trucks=FEWEST_BOXES_FOR_MEANS - 1)[0] == set()
-    assert _given(cars, trucks=FEWEST_BOXES_FOR_MEANS)[0] == {"ap", "detection_score"}
+    assert _given(cars, trucks=FEWEST_BOXES - 1)[0] == set()
+    assert _given(cars, trucks=FEWEST_BOXES)[0] == {"ap", "detection_score"}
 
 
 def test_few_images_or_clusters_give_nothing() -> None:
