@@ -4,7 +4,7 @@
 
 nuscenes-devkit 1.2.0 and av2 0.3.6 are installed without their dependencies in `.cache/comparison_references/centers`
 (about 400 MB, most of it pandas and scipy), Waymo's metrics with TensorFlow 2.13 in `.cache/comparison_references/waymo`
-(1.2 GB, only with --waymo). Exits with 1 if any number differs by more than its tolerance.
+(1.2 GB, only with --waymo). For KITTI, which has no package, tests/kitti_by_definition.py stands in. Exits with 1 if any number differs by more than its tolerance.
 --record keeps boxes and reference numbers for the tests, which then need none of the packages.
 """
 
@@ -28,6 +28,7 @@ from tests.array_factories import (  # noqa: E402
     make_predictions,
     scattered_boxes,
 )
+from tests.kitti_by_definition import kitti_scores  # noqa: E402  # after the path
 
 IMAGES = 12
 LABELS = ("car", "bicycle")
@@ -42,7 +43,7 @@ WITH_DEPENDENCIES = {
     "centers": ("numpy==2.4.6", "pandas==3.1.1", "pyquaternion==0.9.9", "scipy==1.17.1"),
     "waymo": ("tensorflow-cpu==2.13.0", "numpy==1.24.3"),
 }
-TOLERANCE = {"nuscenes": 1e-9, "argoverse": 1e-9, "waymo": 2e-6}
+TOLERANCE = {"kitti": 1e-9, "nuscenes": 1e-9, "argoverse": 1e-9, "waymo": 2e-6}
 """Waymo computes in single precision."""
 
 
@@ -89,6 +90,10 @@ def reference_scores(name: str, truth: list[Box], found: list[Box]) -> dict[str,
 def our_scores(comparison: ComparisonMetrics) -> dict[str, float | None]:
     """Name our numbers as the references name theirs; undefined errors take the value the references give them."""
     scores: dict[str, float | None] = {}
+    for overlapped in comparison.kitti.classes:
+        for part in overlapped.overlaps:
+            scores[f"kitti/{overlapped.label}/ap_bev@{part.min_iou}"] = part.ap_bev
+            scores[f"kitti/{overlapped.label}/ap_3d@{part.min_iou}"] = part.ap_3d
     for seen in comparison.nuscenes.classes:
         scores |= {
             f"nuscenes/{seen.label}/ap@{distance}": ap
@@ -107,10 +112,10 @@ def our_scores(comparison: ComparisonMetrics) -> dict[str, float | None]:
             scores[f"argoverse/{composite.label}/{name}"] = value
     for ranged in comparison.waymo.classes:
         parts = [("all", ranged.overall), *((f"{part.lower_m:.0f}", part) for part in ranged.ranges)]
-        for name, part in parts:
-            scores[f"waymo/{ranged.label}/{name}/ap"] = part.ap or 0.0
-            scores[f"waymo/{ranged.label}/{name}/let_ap"] = part.let_ap or 0.0
-            scores[f"waymo/{ranged.label}/{name}/let_apl"] = part.let_apl or 0.0
+        for name, within in parts:
+            scores[f"waymo/{ranged.label}/{name}/ap"] = within.ap or 0.0
+            scores[f"waymo/{ranged.label}/{name}/let_ap"] = within.let_ap or 0.0
+            scores[f"waymo/{ranged.label}/{name}/let_apl"] = within.let_apl or 0.0
     return scores
 
 
@@ -144,7 +149,7 @@ def main() -> int:
     agree = True
     for seed in range(arguments.seeds):
         truth, found = scene(seed)
-        expected = reference_scores("centers", truth, found)
+        expected = reference_scores("centers", truth, found) | kitti_scores(truth, found, LABELS)
         if arguments.waymo:
             expected |= reference_scores("waymo", truth, found)
         if arguments.record:

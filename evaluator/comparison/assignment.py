@@ -1,6 +1,6 @@
-"""Assign predictions to ground-truth boxes: greedily in score order, or with the greatest total weight.
+"""Assign predictions to ground-truth boxes: greedily by prediction or by box, or with the greatest total weight.
 
-Both take candidate pairs as parallel arrays and know nothing about boxes. Prediction rows are in descending score
+All take candidate pairs as parallel arrays and know nothing about boxes. Prediction rows are in descending score
 order, so a smaller row means a higher score.
 """
 
@@ -48,6 +48,52 @@ def match_in_score_order(
     matched = np.zeros(len(asker), dtype=bool)
     matched[order[holder[holder >= 0]]] = True
     return matched
+
+
+def match_by_box(
+    prediction: RowArray, ground_truth: RowArray, overlap: Float64Array, excused: BoolArray
+) -> tuple[RowArray, RowArray]:
+    """Let each ground-truth box, in order, take the best prediction still free, at every score at once.
+
+    Predictions enter one by one, highest score first. Whoever enters asks its boxes in their order; a box with nobody,
+    or with somebody worse, takes it, and the one it held goes on to ask its own later boxes. That ends exactly where
+    the boxes' own choice among all predictions so far would end, because each box sees one more prediction than before.
+
+    Args:
+        prediction: (P,) prediction row of each candidate pair.
+        ground_truth: (P,) ground-truth row of each candidate pair.
+        overlap: (P,) greater is better; ties go to the higher score.
+        excused: (N,) which predictions are no false positives when they are not matched.
+
+    Returns:
+        Two (N,) arrays, after each prediction's entry: how many predictions are matched, and how many are neither
+        matched nor excused.
+    """
+    order = np.lexsort((ground_truth, prediction))
+    boxes, overlaps, asker = ground_truth[order].tolist(), overlap[order].tolist(), prediction[order].tolist()
+    last = [*map(int.__ne__, asker[1:], asker[:-1]), True]
+    holder: dict[int, int] = {}  # the pair that holds each box
+    change = np.stack([np.zeros(len(excused), dtype=np.int64), ~excused])
+    for first in np.flatnonzero(np.append(True, np.diff(prediction[order]) > 0)[: len(order)]).tolist():
+        free_again = _enter(first, boxes, overlaps, last, holder)
+        change[0, asker[first]] = free_again is None
+        change[1, asker[first]] = 0 if free_again is None else not excused[asker[free_again]]
+    found, wrong = np.cumsum(change, axis=1)
+    return found, wrong
+
+
+def _enter(pair: int, boxes: list[int], overlaps: list[float], last: list[bool], holder: dict[int, int]) -> int | None:
+    """Let a prediction ask from its first pair on; return a pair of the one left without a box, None if nobody is."""
+    while True:
+        held = holder.get(boxes[pair])
+        if held is None or overlaps[pair] > overlaps[held]:
+            holder[boxes[pair]] = pair
+            if held is None:
+                return None
+            pair = held
+        if last[pair]:
+            return pair
+        pair += 1
 
 
 def heaviest_assignments(weight: Float64Array) -> RowArray:

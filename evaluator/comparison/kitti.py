@@ -1,25 +1,28 @@
 """KITTI-style AP_BEV and AP_3D at 40 recall positions.
 
 Sources: Geiger et al., "Are we ready for autonomous driving?", CVPR 2012, and its object development kit
-(`evaluate_object.cpp`: overlap strictly above the minimum, greedy matching); Simonelli et al., "Disentangling
-Monocular 3D Object Detection", ICCV 2019, section 5 (AP|R40).
+(`evaluate_object.cpp`: overlap strictly above the minimum, greedy matching by ground-truth box); Simonelli et al.,
+"Disentangling Monocular 3D Object Detection", ICCV 2019, section 5 (AP|R40).
 
 What applies and what does not:
 - Overlap: rotated footprints on the ground plane (BEV), times the common height (3D). Pitch and roll are dropped.
+- Matching: at every score each ground-truth box, in the order of the file, takes the prediction still free that overlaps
+  it most. Where boxes of one class overlap each other so much that a prediction fits both, their order matters, as there.
 - KITTI's difficulty classes do not apply. Cityscapes 3D has neither their occlusion levels nor their limits on image
   height and truncation; every annotated box counts, and heavily occluded vehicles are ignore regions already.
 - KITTI's neighbouring classes (van beside car) do not exist here. DontCare areas are the ignore regions.
 - The development kit samples at most 41 score thresholds and so gives a perfect result less than 1 when a class has
   fewer than 40 boxes. Here AP|R40 is taken from its definition: the mean over r = 1/40 ... 40/40 of the best precision
-  at any recall of at least r, with a point on the curve for every distinct score.
+  at any recall of at least r, with a point on the curve for every distinct score. (The kit also chooses its scores by another
+  matching, in which a box takes the highest score.)
 """
 
 import msgspec
 import numpy as np
 
 from evaluator.candidates import RowArray, pairs_within_groups
-from evaluator.comparison.assignment import match_in_score_order
-from evaluator.comparison.boxes import BoolArray, ClassBoxes
+from evaluator.comparison.assignment import match_by_box
+from evaluator.comparison.boxes import ClassBoxes
 from evaluator.comparison.means import defined_mean
 from evaluator.comparison.overlap import may_overlap, overlaps
 from evaluator.predictions import Float64Array
@@ -81,13 +84,8 @@ def _evaluate_class(boxes: ClassBoxes, parameters: KittiParameters) -> KittiClas
 
     def ap(iou: Float64Array, min_iou: float) -> float | None:
         near = iou > min_iou
-        pairs = prediction[near], ground_truth[near], -iou[near]
-        matched = np.zeros(len(boxes.score), dtype=bool)
-        matched[pairs[0][match_in_score_order(*pairs, ground_truth_count=len(boxes.ground_truth))]] = True
-        counted = matched | ~boxes.excused
-        return average_precision(
-            matched[counted], boxes.score[counted], len(boxes.ground_truth), parameters.recall_positions
-        )
+        found, wrong = match_by_box(prediction[near], ground_truth[near], iou[near], boxes.excused)
+        return average_precision(found, wrong, boxes.score, len(boxes.ground_truth), parameters.recall_positions)
 
     return KittiClass(
         label=boxes.label,
@@ -116,12 +114,13 @@ def overlapping_pairs(boxes: ClassBoxes) -> tuple[RowArray, RowArray, Float64Arr
 
 
 def average_precision(
-    matched: BoolArray, score: Float64Array, ground_truth_count: int, recall_positions: int
+    found: RowArray, wrong: RowArray, score: Float64Array, ground_truth_count: int, recall_positions: int
 ) -> float | None:
     """Return AP at evenly spaced recall positions 1/n ... 1 (Simonelli et al., equation 8).
 
     Args:
-        matched: (N,) which predictions are true positives, highest score first.
+        found: (N,) how many true positives there are among each prediction and those of higher scores.
+        wrong: (N,) how many false positives there are among them.
         score: (N,) descending; predictions of equal score enter the curve together.
         ground_truth_count: Number of ground-truth boxes.
         recall_positions: n.
@@ -131,11 +130,11 @@ def average_precision(
     """
     if not ground_truth_count:
         return None
-    if not len(matched):
+    if not len(score):
         return 0.0
     end_of_tie = np.append(score[1:] != score[:-1], values=True)
-    found = np.cumsum(matched)[end_of_tie]
-    precision = found / (np.flatnonzero(end_of_tie) + 1)
+    found, wrong = found[end_of_tie], wrong[end_of_tie]
+    precision = found / np.maximum(found + wrong, 1)
     best = np.append(np.maximum.accumulate(precision[::-1])[::-1], 0.0)
     # recall >= k/n in whole numbers: found * n >= k * count
     wanted = np.arange(1, recall_positions + 1) * ground_truth_count

@@ -1,5 +1,7 @@
 """KITTI-style AP at 40 recall positions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,21 +24,21 @@ def car(scores: KittiScores) -> tuple[KittiAp, ...]:
 def test_ap_interpolates_at_forty_recalls() -> None:
     """Precision at a recall is the best at any greater recall."""
     # recall 1/2 at precision 1, recall 1 at 2/3: 20 positions at 1, 20 at 2/3
-    matched, scores = np.array([True, False, True]), np.array([0.9, 0.8, 0.7])
-    assert average_precision(matched, scores, 2, 40) == pytest.approx((20 + 20 * 2 / 3) / 40)
+    found, wrong, scores = np.array([1, 1, 2]), np.array([0, 1, 1]), np.array([0.9, 0.8, 0.7])
+    assert average_precision(found, wrong, scores, 2, 40) == pytest.approx((20 + 20 * 2 / 3) / 40)
 
 
 def test_equal_scores_enter_the_curve_together() -> None:
     """The order among equal scores has no effect."""
     # one point only: recall 1, precision 1/2
     scores = np.array([0.9, 0.9])
-    for matched in ([True, False], [False, True]):
-        assert average_precision(np.array(matched), scores, 1, 40) == 0.5
+    for found, wrong in (([1, 1], [0, 1]), ([0, 1], [1, 1])):
+        assert average_precision(np.array(found), np.array(wrong), scores, 1, 40) == 0.5
 
 
 def test_recall_positions_not_reached_count_as_zero() -> None:
     """Half of the boxes found perfectly is an AP of one half."""
-    assert average_precision(np.array([True]), np.array([0.9]), 2, 40) == 0.5
+    assert average_precision(np.array([1]), np.array([0]), np.array([0.9]), 2, 40) == 0.5
 
 
 def test_a_displaced_box_matches_at_the_looser_overlap_only() -> None:
@@ -58,6 +60,27 @@ def test_an_overlap_of_exactly_the_minimum_is_no_match() -> None:
     # 4 x 2 within 8 x 2: IoU exactly 0.5
     _, loose = car(score([Box()], [Box(dimensions=(8.0, 2.0, 1.5))]))
     assert loose.ap_bev == 0.0
+
+
+def test_a_box_takes_what_overlaps_it_most_not_what_scores_highest() -> None:
+    """Two boxes on almost one place: each prediction has a box, because the boxes choose."""
+    # BEV IoU of boxes 4 m long, d apart: (4 - d) / (4 + d). The confident prediction at 0.8 overlaps the box at 0 by
+    # 0.67 and the box at 1 by 0.90, the other at 1.6 overlaps them by 0.43 and 0.74. In score order the first would take
+    # the box at 1 and leave nothing for the second.
+    truth = [Box(center=(20.0, 0.0, 0.75)), Box(center=(21.0, 0.0, 0.75))]
+    found = [Box(center=(20.8, 0.0, 0.75), score=0.9), Box(center=(21.6, 0.0, 0.75), score=0.8)]
+    assert car(score(truth, found))[1].ap_bev == 1.0
+
+
+def test_a_better_prediction_takes_the_place_of_one_in_an_ignore_region() -> None:
+    """The box chooses the exact prediction; the rough one before it is excused, because the box left it."""
+    truth = [Box(), Box(center=(40.0, 0.0, 0.75))]
+    rough = Box(center=(20.5, 0.0, 0.75), score=0.9)
+    elsewhere = (1000.0, 500.0, 50.0, 50.0)
+    exact = [replace(box, modal=elsewhere, score=confidence) for box, confidence in zip(truth, (0.8, 0.7), strict=True)]
+    assert car(score(truth, [rough, *exact], ignore=True))[1].ap_3d == 1.0
+    # outside an ignore region the rough one is false: precision 2/3 at recall 1
+    assert car(score(truth, [rough, *exact]))[1].ap_3d == pytest.approx((20 + 20 * 2 / 3) / 40)
 
 
 def test_an_unmatched_prediction_in_an_ignore_region_does_not_count() -> None:

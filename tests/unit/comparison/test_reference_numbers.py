@@ -1,7 +1,7 @@
-"""Equality with nuscenes-devkit, av2 and Waymo's metrics operation on recorded scenes.
+"""Equality with nuscenes-devkit, av2, Waymo's metrics operation and KITTI's definition on recorded scenes.
 
 `bench/comparison_reference.py --waymo --record tests/data/comparison` made the files: random boxes, and the numbers the
-packages themselves give for them. Scene 0 is so crowded that boxes overlap; scene 3 is perfect but for duplicates.
+packages themselves give for them; those of KITTI are from tests/kitti_by_definition.py. Scene 0 is so crowded that boxes overlap; scene 3 is perfect but for duplicates.
 """
 
 import json
@@ -56,6 +56,17 @@ def test_nuscenes_numbers_equal_the_devkit(scored: tuple[ComparisonMetrics, dict
         score = next(score for score in comparison.nuscenes.classes if score.label == label)
         numbers = nuscenes_numbers(score, comparison.nuscenes.parameters.distances_m)
         assert numbers == pytest.approx(expected_of(expected, f"nuscenes/{label}/"), abs=1e-9)
+
+
+def test_kitti_numbers_equal_the_definition(scored: tuple[ComparisonMetrics, dict[str, float]]) -> None:
+    """AP_BEV and AP_3D at both overlaps equal those of the kit's procedure in plain loops."""
+    comparison, expected = scored
+    for label in ("car", "bicycle"):
+        score = next(score for score in comparison.kitti.classes if score.label == label)
+        numbers = {
+            f"{name}@{part.min_iou}": getattr(part, name) for part in score.overlaps for name in ("ap_bev", "ap_3d")
+        }
+        assert numbers == pytest.approx(expected_of(expected, f"kitti/{label}/"), abs=1e-12)
 
 
 def argoverse_numbers(score: ArgoverseClass) -> dict[str, float | None]:
