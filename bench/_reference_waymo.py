@@ -46,7 +46,8 @@ def configuration(camera: list[float], *, tolerant: bool) -> metrics_pb2.Config:
 
 def columns(rows: list[dict[str, Any]]) -> tuple[np.ndarray[Any, Any], ...]:
     """Return frame, box with heading, and type of each row."""
-    yaw = [2 * np.arctan2(row["rotation"][3], row["rotation"][0]) for row in rows]
+    turns = [row["rotation"] for row in rows]
+    yaw = [np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z) for w, x, y, z in turns]
     boxes = [[*row["center"], *row["dimensions"], turn] for row, turn in zip(rows, yaw, strict=True)]
     return (
         np.array([row["image"] for row in rows], dtype=np.int64),
