@@ -14,6 +14,12 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("predictions", metavar="PRED", type=Path, help="one *.json for each image")
     parser.add_argument("--gt", metavar="GT", type=Path, required=True, help="the ground truth, *_gtBbox3d.json")
     parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
+    parser.add_argument(
+        "--class",
+        dest="label",
+        metavar="L",
+        help="show errors and kinds of objects of one class (JSON has every class)",
+    )
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     parser.add_argument(
         "--benchmarks", action="store_true", help="add what KITTI, nuScenes, Waymo and Argoverse 2 would say"
@@ -49,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     from client.diagnosis_text import diagnosis_text  # noqa: PLC0415 - not needed for JSON
 
-    print(diagnosis_text(evaluation.scores, diagnosis))
+    print(diagnosis_text(evaluation.scores, diagnosis, args.label))
     if comparison is not None:
         from client.benchmarks_text import benchmarks_text  # noqa: PLC0415 - likewise
 

@@ -2,27 +2,49 @@
 
 from client.text_table import UNDEFINED, number, percent, points, text_table
 from evaluator.diagnosis.annotator_noise import AnnotatorNoise
-from evaluator.diagnosis.diagnose import ClassDiagnosis, Diagnosis
+from evaluator.diagnosis.diagnose import Accuracy, ClassDiagnosis, Diagnosis
 from evaluator.diagnosis.errors import DistanceRange
+from evaluator.errors import UsageError
 from evaluator.results import ClassScore, Scores
 
 Row = tuple[str, ...]
 
 
-def diagnosis_text(scores: Scores, diagnosis: Diagnosis) -> str:
-    """Return the tables, the signature last."""
+def diagnosis_text(scores: Scores, diagnosis: Diagnosis, label: str | None = None) -> str:
+    """Return the tables, the signature last.
+
+    Args:
+        scores: What is explained.
+        diagnosis: The explanation.
+        label: The class whose errors and kinds of objects are shown; None for all together.
+
+    Raises:
+        UsageError: There is no such class, or no ground truth of it.
+    """
     defined = [
         (score, part) for score, part in zip(scores.classes, diagnosis.classes, strict=True) if part.causes is not None
     ]
+    what, accuracy = _chosen(diagnosis, label)
     tables = [
         _loss_table(defined),
         _cause_table(defined),
         _oracle_table(scores, diagnosis),
-        _error_table(diagnosis),
-        _subset_table(diagnosis),
+        _error_table(what, accuracy, diagnosis.annotator_noise),
+        _subset_table(what, accuracy),
         _score_table(defined),
+        _reliability_table(defined),
     ]
     return "\n\n".join([*tables, str(diagnosis.signature)])
+
+
+def _chosen(diagnosis: Diagnosis, label: str | None) -> tuple[str, Accuracy]:
+    """Name one class or all, and return their errors."""
+    if label is None:
+        return "all classes", diagnosis.accuracy
+    known = {part.label: part.accuracy for part in diagnosis.classes if part.accuracy is not None}
+    if label not in known:
+        raise UsageError(f"There is no ground truth of the class {label!r}; choose one of {', '.join(known)}.")
+    return label, known[label]
 
 
 def _loss_table(classes: list[tuple[ClassScore, ClassDiagnosis]]) -> str:
@@ -60,14 +82,10 @@ def _oracle_table(scores: Scores, diagnosis: Diagnosis) -> str:
     return text_table(f"Oracles (mDS is {percent(scores.mds)})", ("with", "mDS", "gain"), rows)
 
 
-def _error_table(diagnosis: Diagnosis) -> str:
+def _error_table(what: str, accuracy: Accuracy, annotator_noise: tuple[AnnotatorNoise, ...]) -> str:
     """Show mean errors up to each tenth metre beside the annotators'."""
-    noise = {part.up_to_m: part for part in diagnosis.annotator_noise}
-    rows = [
-        _error_row(part, noise[part.upper_m])
-        for part in diagnosis.accuracy.curves.up_to_distance
-        if part.upper_m in noise
-    ]
+    noise = {part.up_to_m: part for part in annotator_noise}
+    rows = [_error_row(part, noise[part.upper_m]) for part in accuracy.curves.up_to_distance if part.upper_m in noise]
     header = (
         "up to m",
         "found",
@@ -78,9 +96,11 @@ def _error_table(diagnosis: Diagnosis) -> str:
         "depth %",
         "yaw deg",
         "(people)",
+        "pitch deg",
+        "roll deg",
         "size %",
     )
-    return text_table("Mean errors of all classes, beside people's", header, rows)
+    return text_table(f"Mean errors of {what}, beside people's", header, rows)
 
 
 def _error_row(part: DistanceRange, noise: AnnotatorNoise) -> Row:
@@ -96,12 +116,14 @@ def _error_row(part: DistanceRange, noise: AnnotatorNoise) -> Row:
         number(mean.depth_percent),
         number(mean.yaw_deg),
         number(noise.yaw_deg),
+        number(mean.pitch_deg),
+        number(mean.roll_deg),
         number(mean.size_percent),
     )
 
 
-def _subset_table(diagnosis: Diagnosis) -> str:
-    """Show recall by kinds of objects."""
+def _subset_table(what: str, accuracy: Accuracy) -> str:
+    """Show recall and errors by kinds of objects."""
     rows = [
         (
             f"{grouping.name.replace('_', ' ')}: {subset.name}",
@@ -109,11 +131,21 @@ def _subset_table(diagnosis: Diagnosis) -> str:
             percent(subset.recall),
             number(subset.errors.mean.center_m),
             number(subset.errors.mean.yaw_deg),
+            number(subset.errors.mean.size_percent),
         )
-        for grouping in diagnosis.accuracy.groupings
+        for grouping in accuracy.groupings
         for subset in grouping.subsets
     ]
-    return text_table("All classes by kind of object", ("kind", "boxes", "recall %", "centre m", "yaw deg"), rows)
+    header = ("kind", "boxes", "recall %", "centre m", "yaw deg", "size %")
+    return text_table(f"{what[0].upper()}{what[1:]} by kind of object", header, rows)
+
+
+def _reliability_table(classes: list[tuple[ClassScore, ClassDiagnosis]]) -> str:
+    """Show how often scores are right."""
+    curves = [(score.label, part.calibration.reliability) for score, part in classes if part.calibration is not None]
+    edges = [f"{part.lower:.1f}-{part.upper:.1f}" for _, curve in curves[:1] for part in curve]
+    rows = [(label, *(percent(part.precision, 0) for part in curve)) for label, curve in curves]
+    return text_table("How many of the predictions are right, in percent, by their score", ("class", *edges), rows)
 
 
 def _score_table(classes: list[tuple[ClassScore, ClassDiagnosis]]) -> str:

@@ -34,10 +34,31 @@ def test_diagnose_prints_every_table(capsys: pytest.CaptureFixture[str]) -> None
     """Loss, causes, oracles, errors, kinds of objects and scores come with the signature below them."""
     assert main(["diagnose", *ARGUMENTS, str(CASE / "pred")]) == 0
     printed = capsys.readouterr().out
-    for title in ("Where 100 points go", "Causes", "Oracles", "Mean errors", "by kind of object", "Scores"):
+    for title in ("Where 100 points go", "Causes", "Oracles", "Mean errors", "by kind of object", "Scores", "right"):
         assert title in printed
     assert printed.splitlines()[-1].startswith("cityscapes3d:1|")
     assert "As KITTI" not in printed
+
+
+def test_diagnose_shows_the_errors_of_one_class(capsys: pytest.CaptureFixture[str]) -> None:
+    """With `--class` the tables of errors and kinds of objects are those that JSON has for the class."""
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    car = msgspec.convert(document["diagnosis"], Diagnosis).classes[0].accuracy
+    assert car is not None
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--class", "car"]) == 0
+    printed = capsys.readouterr().out
+    everything = printed.split("Mean errors of car, beside people's\n")[1].split("\n\n")[0].splitlines()[-1].split()
+    mean = car.errors.mean
+    assert everything[:3] == ["all", str(car.errors.true_positive_count), number(mean.center_m)]
+    assert everything[-3:] == [number(mean.pitch_deg), number(mean.roll_deg), number(mean.size_percent)]
+    assert "Car by kind of object" in printed
+
+
+def test_a_class_without_ground_truth_cannot_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    """The message names the classes that can."""
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--class", "boat"]) == 2
+    assert "no ground truth of the class 'boat'; choose one of car" in capsys.readouterr().err
 
 
 def test_diagnose_adds_other_benchmarks_when_asked(capsys: pytest.CaptureFixture[str]) -> None:
