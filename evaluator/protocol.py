@@ -84,6 +84,8 @@ def _requirements(protocol: Protocol) -> Iterator[tuple[bool, str]]:
     yield isinstance(protocol.labels, tuple), "labels must be a tuple of names of classes, like ('car', 'bus')."
     yield len(protocol.labels) > 0, "labels must name at least one class."
     yield 0 <= protocol.min_iou < math.inf, "min_iou must be a number of 0 or more."
+    for name in ("max_depth_m", "depth_step_m", "score_steps"):
+        yield isinstance(getattr(protocol, name), int), f"{name} must be a whole number."
     yield protocol.max_depth_m >= 1, "max_depth_m must be at least 1 metre."
     yield protocol.depth_step_m >= 1, "depth_step_m must be at least 1 metre."
     bins = protocol.max_depth_m / protocol.depth_step_m
