@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from evaluator.average_precision import precision_and_recall
 from evaluator.predictions import Float64Array
-from evaluator.resampling import WeightArray, Weighting, weights_of_images
+from evaluator.resampling import WeightArray, Weighting, weighting_count, weights_of_images
 from evaluator.statistics import Statistics
 
 
@@ -116,14 +116,21 @@ def _group(
 
 def _curves(groups: list[_Group], weights: Weighting) -> tuple[Float64Array, Float64Array]:
     """Return AP and c_w of G groups, both (R, G); AP is NaN without ground truth in the resample."""
-    of_image = weights_of_images(weights)
-    found = [_sweep(group, of_image) for group in groups]
-    ap, working_point = np.array(found).reshape(len(groups), 2, of_image.shape[1]).transpose(1, 2, 0)
+    count = weighting_count(weights)
+    ap, working_point = np.empty((2, count, len(groups)))
+    for start in range(0, count, _WEIGHTINGS_AT_ONCE):
+        rows = np.arange(start, min(start + _WEIGHTINGS_AT_ONCE, count))
+        of_image = weights_of_images(weights, rows)
+        for index, group in enumerate(groups):
+            ap[rows, index], working_point[rows, index] = _sweep(group, of_image)
     return ap, working_point
 
 
+_WEIGHTINGS_AT_ONCE = 2000
+"""So that of the jackknife of many images not all weights are in memory."""
+
 _SCORES_AT_ONCE = 32
-"""A block of so many scores under some thousand weightings stays in the processor's cache."""
+"""A block of so many scores under so many weightings stays in the processor's cache."""
 
 
 def _sweep(group: _Group, of_image: WeightArray) -> tuple[Float64Array, Float64Array]:
@@ -168,7 +175,6 @@ def _area(precision: Float64Array, recall: Float64Array, envelope: Float64Array)
 
 def _at_least(of_image: WeightArray, images: NDArray[np.intp], start: NDArray[np.intp]) -> Iterator[Float64Array]:
     """Yield, block by block of starts, (S, R) sums of the weights of the images from each start to the end."""
-    rows = list(of_image)
     left = _total(of_image, images[start.min(initial=len(images)) :])
     spans = list(pairwise([*start.tolist(), len(images)]))
     for first in range(0, len(spans), _SCORES_AT_ONCE):
@@ -177,7 +183,7 @@ def _at_least(of_image: WeightArray, images: NDArray[np.intp], start: NDArray[np
         for sum_, (begin, end) in zip(sums, block, strict=True):
             sum_[:] = left
             for image in images[begin:end].tolist():
-                left -= rows[image]
+                left -= of_image[image]
         yield sums
 
 

@@ -137,11 +137,11 @@ def totals_of(
     return np.asarray(chosen.astype(values.dtype, order="C") @ values)
 
 
-def weights_of_images(weighting: Weighting) -> WeightArray:
-    """Return (I, R) how often each image counts, R numbers together in memory."""
+def weights_of_images(weighting: Weighting, rows: NDArray[np.intp]) -> WeightArray:
+    """Return (I, S) how often some of the weightings count each image, S numbers together in memory."""
     if isinstance(weighting, LeaveOneOut):
-        return np.asarray(weighting.member[:, None] != np.arange(weighting.units), dtype=np.float32)
-    return np.ascontiguousarray(weighting.T)
+        return np.asarray(weighting.member[:, None] != rows, dtype=np.float32)
+    return weighting.T.take(rows, axis=1)
 
 
 def unit_index(images: tuple[str, ...], unit: Unit) -> IndexArray:

@@ -107,6 +107,18 @@ def test_the_jackknife_equals_weights_of_zero_for_one_unit(evaluation: Evaluatio
     assert np.array_equal(found.working_point, expected.working_point)
 
 
+def test_each_of_many_resamples_is_what_it_is_alone(evaluation: Evaluation) -> None:
+    """The first and the last of 2500 resamples, more than are computed at once, have the scores they have by themselves."""
+    statistics = evaluation.statistics
+    weights = bootstrap_weights(statistics.images, resamples=2500, seed=1)
+    ends = [0, -1]
+
+    many, alone = (replicate(statistics, rows, by_depth=True) for rows in (weights, weights[ends]))
+
+    assert np.allclose(many.classes[ends], alone.classes, rtol=0, atol=1e-12, equal_nan=True)
+    assert np.allclose(many.depth_bins[ends], alone.depth_bins, rtol=0, atol=1e-12, equal_nan=True)
+
+
 def test_depth_bins_are_left_out_unless_asked_for(evaluation: Evaluation) -> None:
     """No bins; the classes are the same."""
     weights = bootstrap_weights(evaluation.statistics.images, resamples=5, seed=1)
