@@ -48,8 +48,8 @@ POPULATION = 4000
 METHODS = {"good": (0, 8), "good, another draw": (0, 9), "middling": (1, 8)}
 """Which of `QUALITIES`, and the seed."""
 PAIRS = {"two draws of one method": (0, 1), "good and middling": (0, 2)}
-JUST_ENOUGH = {"yaw_sim": (400, 1000)}
-JUST_ENOUGH_OTHERWISE = (20, 30)
+JUST_ENOUGH = {"ap": (20, 30), "yaw_sim": (400, 1000)}
+JUST_ENOUGH_OTHERWISE = (30, 40)
 """From how many boxes to how many a depth bin has just enough of them: found ones, but for AP all there are."""
 
 Hits = dict[tuple[str, str], Float64Array]

@@ -22,7 +22,7 @@ FEWEST_BOXES_IN_BIN = 20
 """Ground-truth boxes in a depth bin for its AP."""
 FEWEST_TRUE_POSITIVES = 10
 """Of a class for its AP and detection score, not for mAP and mDS, of which what is hardly ever found is a small part."""
-FEWEST_TRUE_POSITIVES_IN_BIN = 20
+FEWEST_TRUE_POSITIVES_IN_BIN = 30
 """In a depth bin for its similarities."""
 FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW = 400
 """For YawSim: one box in some hundreds is turned round, and a sample without such a box shows nothing of it."""

@@ -10,6 +10,7 @@ from evaluator.interval_rules import (
     FEWEST_BOXES,
     FEWEST_BOXES_IN_BIN,
     FEWEST_TRUE_POSITIVES,
+    FEWEST_TRUE_POSITIVES_IN_BIN,
     FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW,
     FEWEST_TRUE_POSITIVES_PER_BIN,
     FEWEST_TRUE_POSITIVES_PER_BIN_FOR_YAW,
@@ -109,7 +110,9 @@ def test_integrals_over_the_whole_range_give_nothing_but_average_precision() -> 
     ("boxes", "metrics"),
     [
         (FEWEST_BOXES_IN_BIN - 1, set()),
-        (FEWEST_BOXES_IN_BIN, {"ap", "bevcd", "pr_sim", "size_sim"}),
+        (FEWEST_BOXES_IN_BIN, {"ap"}),
+        (FEWEST_TRUE_POSITIVES_IN_BIN - 1, {"ap"}),
+        (FEWEST_TRUE_POSITIVES_IN_BIN, {"ap", "bevcd", "pr_sim", "size_sim"}),
         (FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW, set(BIN_METRICS)),
     ],
 )
