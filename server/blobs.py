@@ -26,6 +26,8 @@ from server.models import Blob, Shard
 from server.settings import Settings
 
 CHUNK_BYTES = 1024 * 1024
+_NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
+"""What file systems say that have none, or no more of one file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +131,28 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
+def _promote(path: Path, target: Path) -> None:
+    """Give a complete file the name of its digest; a file that has it already stays, as young as this one.
+
+    It holds the same bytes, and a confined process that may read it (worker/confinement.py) could not read another one.
+    """
+    while True:
+        try:
+            target.hardlink_to(path)
+        except FileExistsError:
+            try:
+                os.utime(target)
+            except FileNotFoundError:  # deleted at this moment
+                continue
+        except OSError as error:
+            if error.errno not in _NO_HARD_LINKS:
+                raise
+            path.replace(target)
+            return
+        path.unlink()
+        return
+
+
 class FolderBlobs:
     """Blobs as read-only files `<first two digits>/<digest>` in a folder."""
 
@@ -152,7 +176,7 @@ class FolderBlobs:
             _flush(path)
             target.parent.mkdir(exist_ok=True)
             os.utime(path)
-            path.replace(target)
+            _promote(path, target)
             _flush(target.parent)
 
     def _bring_over(self, path: Path) -> Path:
@@ -260,7 +284,7 @@ class BucketBlobs:
                 message = f"blob {sha256} arrived with other bytes than its name says; check the blob store"
                 raise Unavailable(message)
             temporary.chmod(0o444)
-            temporary.replace(path)
+            _promote(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
 

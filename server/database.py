@@ -5,6 +5,8 @@ commits: `Services.transaction` does, at the edge. Reads that change nothing use
 write lock and sees one consistent state.
 """
 
+import sqlite3
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -25,6 +27,8 @@ log = structlog.get_logger(__name__)
 
 BUSY_TIMEOUT_S = 30
 """How long a SQLite writer waits for another; far beyond any transaction of ours."""
+
+_WAL_WAIT_S = 0.05
 
 BOUNDS = {
     "lock_timeout": "30s",
@@ -87,8 +91,23 @@ def _configure_sqlite(connection: Any, record: object) -> None:  # noqa: ANN401 
     """
     del record
     connection.isolation_level = None  # transactions are begun in `_begin_sqlite`, not by the driver
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={BUSY_TIMEOUT_S * 1000}"):
+    for pragma in (f"busy_timeout={BUSY_TIMEOUT_S * 1000}", "synchronous=FULL", "foreign_keys=ON"):
         connection.execute(f"PRAGMA {pragma}")
+    _write_ahead(connection)
+
+
+def _write_ahead(connection: Any) -> None:  # noqa: ANN401 - the driver's connection
+    """Turn WAL on. When several processes are the first to do so at once, SQLite refuses without waiting: we wait."""
+    deadline_s = time.monotonic() + BUSY_TIMEOUT_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > deadline_s:
+                raise
+            time.sleep(_WAL_WAIT_S)
+        else:
+            return
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:

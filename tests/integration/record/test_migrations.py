@@ -2,7 +2,9 @@
 
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -73,3 +75,20 @@ def test_two_processes_may_migrate_at_once(empty_database: str) -> None:
         for _ in range(2)
     ]
     assert [process.wait(60) for process in processes] == [0, 0]
+
+
+def test_many_may_be_the_first_to_connect(tmp_path: Path) -> None:
+    """Turning WAL on in a fresh file at the same moment is refused without waiting by SQLite; nobody notices."""
+    for number in range(60):
+        engines = [database.create_engine(f"sqlite:///{tmp_path}/{number}.sqlite") for _ in range(4)]
+        together = threading.Barrier(len(engines))
+
+        def connect(engine: sa.Engine, together: threading.Barrier = together) -> str:
+            together.wait()
+            with engine.connect() as connection:
+                return str(connection.exec_driver_sql("PRAGMA journal_mode").scalar())
+
+        with ThreadPoolExecutor(len(engines)) as pool:
+            assert list(pool.map(connect, engines)) == ["wal"] * len(engines)
+        for engine in engines:
+            engine.dispose()
