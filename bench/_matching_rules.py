@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from evaluator.candidates import pairs_within_groups
 from evaluator.ground_truth import GroundTruth
-from evaluator.matching import Edges, Matches, groups_of, take_edges
+from evaluator.matching import Edges, Matches, groups_of, matches_of, take_edges
 from evaluator.overlap import corners_px, intersections_over_unions
 from evaluator.paper_matching import LEAST_IGNORED_FRACTION as LEAST_COVERED
 from evaluator.paper_matching import plain_ious
@@ -67,19 +67,9 @@ def match_by_rules(ground_truth: GroundTruth, predictions: Predictions, rules: R
     if rules.by_score:
         edges = _in_order_of_scores(edges, predictions.score)
     taken = take_edges(edges, free_gt, unmatched)
-    kept = np.flatnonzero(taken)
-    kept = kept[np.lexsort((edges.prediction_index[kept], edges.ground_truth_index[kept]))]
     compared = boxes if rules.ignores_projected else corners_px(predictions.modal_px)
     ignored = np.where(_inside_ignore_region(ground_truth, predictions, compared, rules), unmatched, np.uint64(0))
-    return Matches(
-        thresholds=thresholds,
-        ground_truth_index=edges.ground_truth_index[kept].astype(np.int32),
-        prediction_index=edges.prediction_index[kept].astype(np.int32),
-        pair_thresholds=taken[kept],
-        false_positive_thresholds=unmatched ^ ignored,
-        ignored_thresholds=ignored,
-        matched_thresholds=np.uint64((1 << len(thresholds)) - 1) ^ free_gt,
-    )
+    return matches_of(edges, taken, thresholds=thresholds, free_gt=free_gt, unmatched=unmatched, ignored=ignored)
 
 
 def _projected(ground_truth: GroundTruth, boxes: GroundTruth | Predictions, *, clip: bool) -> Float64Array:

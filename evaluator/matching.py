@@ -78,9 +78,31 @@ def match(ground_truth: GroundTruth, predictions: Predictions, protocol: Protoco
     free_gt = np.full(len(ground_truth), (1 << len(thresholds)) - 1, dtype=np.uint64)
     unmatched = active.copy()
     taken = take_edges(edges, free_gt, unmatched)
+    ignored = np.where(_inside_ignore_region(ground_truth, predictions, unmatched, protocol), unmatched, np.uint64(0))
+    return matches_of(edges, taken, thresholds=thresholds, free_gt=free_gt, unmatched=unmatched, ignored=ignored)
+
+
+def matches_of(
+    edges: Edges,
+    taken: MaskArray,
+    *,
+    thresholds: Float64Array,
+    free_gt: MaskArray,
+    unmatched: MaskArray,
+    ignored: MaskArray,
+) -> Matches:
+    """Order what the edges took.
+
+    Args:
+        edges: E candidate pairs.
+        taken: (E,) the thresholds each takes.
+        thresholds: (T,) score thresholds.
+        free_gt: (M,) thresholds at which each ground-truth box is left free.
+        unmatched: (N,) thresholds at which each prediction is active and left free.
+        ignored: (N,) those of them at which it is discarded.
+    """
     kept = np.flatnonzero(taken)
     kept = kept[np.lexsort((edges.prediction_index[kept], edges.ground_truth_index[kept]))]
-    ignored = np.where(_inside_ignore_region(ground_truth, predictions, unmatched, protocol), unmatched, np.uint64(0))
     return Matches(
         thresholds=thresholds,
         ground_truth_index=edges.ground_truth_index[kept].astype(np.int32),
