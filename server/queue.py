@@ -174,6 +174,11 @@ class Queue:
             return None
 
     def close(self) -> None:
-        """Close the broker's connections."""
+        """Close the broker's connections. Another queue of this process on the same broker can go on sending.
+
+        kombu keeps one pool for each broker's address in a process: a pool that is closed for good would refuse every
+        later user of that address.
+        """
+        pool = self._app.pool
         with contextlib.suppress(OperationalError, RedisError, OSError):
-            self._app.pool.force_close_all()
+            pool.resize(pool.limit, reset=True)
