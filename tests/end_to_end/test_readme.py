@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -13,7 +12,7 @@ import httpx
 import pytest
 
 from evaluator.synthetic import QUALITIES, synthesize_ground_truth, synthesize_predictions, write_zip
-from tests.services.processes import wait_until
+from tests.services.processes import free_port, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = 5
@@ -55,13 +54,6 @@ def environment() -> dict[str, str]:
     return {**clean, "PATH": scripts}
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def test_a_real_benchmark_from_an_empty_machine(folder: Path, environment: dict[str, str]) -> None:
     """Every command succeeds; the server takes an upload by curl and scores it; SIGTERM ends it."""
     *setup, serve = _commands()
@@ -73,7 +65,7 @@ def test_a_real_benchmark_from_an_empty_machine(folder: Path, environment: dict[
         assert done.returncode == 0, f"{command}: {done.stderr}"
         printed += done.stdout
     (token,) = re.findall(r"cs3d_\S+", printed)
-    port = _free_port()
+    port = free_port()
     assert serve.startswith("cs3d-admin serve")
     server = subprocess.Popen(
         ["/bin/sh", "-c", "exec " + serve.replace("8000", str(port))], cwd=folder, env=environment

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -16,12 +17,18 @@ TETHER = Path(__file__).resolve().parents[2] / "server" / "tether.py"
 READY_S = 180.0
 
 
+_PORTS = iter(random.SystemRandom().sample(range(15_000, 32_768), 10_000))
+"""Below those that Linux gives to outgoing connections: nobody takes the port of a service that is down for a while."""
+
+
 def free_port() -> int:
-    """Find a TCP port that nobody listens on."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-        return port
+    """Find a TCP port that nobody listens on, and that was not given before."""
+    for port in _PORTS:
+        with socket.socket() as listener, contextlib.suppress(OSError):
+            listener.bind(("127.0.0.1", port))
+            return port
+    message = "every port is taken"
+    raise OSError(message)
 
 
 def listens(port: int) -> bool:
