@@ -42,6 +42,10 @@ SYSTEM_PACKAGES = {
 """Package that tests need -> commands or files, any of which shows that it is there."""
 
 
+SIDE_BY_SIDE = ["--numprocesses=logical", "--maxprocesses=4", "--dist=loadfile"]
+"""Tests of one file run in one process, so that they share their services; each process starts services of its own."""
+
+
 class CannotContinueError(Exception):
     """Something the person at the terminal has to change; the message says what."""
 
@@ -99,7 +103,7 @@ def test(rest: list[str]) -> int:
     _install_system_packages()
     _install_reference()
     _section("test")
-    return _hand_over([_python(), "-m", "pytest", *rest])
+    return _hand_over([_python(), "-m", "pytest", *SIDE_BY_SIDE, *rest])
 
 
 def lint(rest: list[str]) -> int:
