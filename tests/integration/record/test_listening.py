@@ -12,6 +12,7 @@ from server.queue import QUEUE_NAME, Queue, celery_app
 from server.settings import Settings
 from tests.services.broker import Broker
 from tests.services.installation import Installation
+from tests.services.processes import wait_until
 from worker import listening
 
 
@@ -57,8 +58,9 @@ def test_a_worker_waits_for_tasks_alone(installation: Installation) -> None:
     installation.start_worker()
     client = installation.broker.client()
     try:
-        waiting = [connection["cmd"] for connection in client.client_list()]
-        assert "brpop" in waiting
+        wait_until(
+            lambda: "brpop" in [connection["cmd"] for connection in client.client_list()], what="the wait for tasks"
+        )
         assert client.client_list(_type="pubsub") == []
         assert client.pubsub_numpat() == 0
     finally:
