@@ -32,7 +32,15 @@ def score_table(scores: Scores, uncertainty: "Uncertainty | None" = None) -> str
     rule = "-" * len(head)
     end = len(rows) - 1
     table = [head, rule, *lines[:end], rule, *lines[end:]]
-    return "\n".join([*(line.rstrip() for line in table), "", *_last_lines(scores, uncertainty)])
+    return "\n".join([*(line.rstrip() for line in table), "", *_zeroed(scores), *_last_lines(scores, uncertainty)])
+
+
+def _zeroed(scores: Scores) -> list[str]:
+    """Say why classes whose boxes were found have no detection score."""
+    if not scores.zeroed_labels:
+        return []
+    why = "true positives in fewer than two depth bins, for which the reference makes all four similarities 0"
+    return [f"{', '.join(scores.zeroed_labels)}: {why}.", ""]
 
 
 def _interval_rows(intervals: "NamedIntervals | None") -> list[tuple[str, ...]]:

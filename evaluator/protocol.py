@@ -19,6 +19,9 @@ EVALUATED_LABELS = VEHICLE_LABELS[:6]
 MOST_SCORE_STEPS = 62
 """Their 63 thresholds are what a mask of 64 bits holds with one to spare, so that 2^n - 1 never overflows."""
 
+FEWEST_BINS = 2
+"""With fewer depth bins holding a true positive the reference makes every similarity 0, so `cityscapes3d` does."""
+
 MOST_DEPTH_BINS = 10_000
 """More only fill the memory: detections end at 10 km."""
 

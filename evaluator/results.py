@@ -6,7 +6,7 @@ Every score lies in [0, 1] and greater is better.
 
 import msgspec
 
-from evaluator.protocol import Signature
+from evaluator.protocol import CITYSCAPES3D, FEWEST_BINS, Signature
 
 
 class DepthBin(msgspec.Struct, frozen=True, kw_only=True):
@@ -47,6 +47,11 @@ class ClassScore(msgspec.Struct, frozen=True, kw_only=True):
     depth_bins: tuple[DepthBin, ...]
     """Every bin from 0 to the maximum depth, empty ones too."""
 
+    @property
+    def filled_bins(self) -> int:
+        """Count the depth bins with a true positive."""
+        return sum(one.true_positive_count > 0 for one in self.depth_bins)
+
 
 class Scores(msgspec.Struct, frozen=True, kw_only=True):
     """The whole result. Means are over the classes with ground truth, None when there is no such class."""
@@ -63,3 +68,13 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     """The score thresholds behind every recall and precision list."""
     classes: tuple[ClassScore, ...]
     """In the protocol's order of labels."""
+
+    @property
+    def zeroed_labels(self) -> tuple[str, ...]:
+        """Name the classes that are found and yet have a detection score of 0, by a rule.
+
+        With true positives in fewer than two depth bins `cityscapes3d`, like the reference, makes all similarities 0.
+        """
+        if self.signature.protocol.name != CITYSCAPES3D.name:
+            return ()
+        return tuple(one.label for one in self.classes if one.ap and one.filled_bins < FEWEST_BINS)

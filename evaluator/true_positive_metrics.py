@@ -9,12 +9,10 @@ import numpy as np
 from evaluator.average_precision import CountArray
 from evaluator.orientation import yaw_pitch_roll_rad
 from evaluator.predictions import Float64Array
+from evaluator.protocol import FEWEST_BINS
 
 SIMILARITIES = ("bevcd", "yaw_sim", "pr_sim", "size_sim")
 """Column order wherever the four stand in one array."""
-
-FEWEST_BINS = 2
-"""With fewer depth bins holding a true positive the reference gives 0, so the protocol does."""
 
 
 def center_similarity(first_m: Float64Array, second_m: Float64Array, max_depth_m: float) -> Float64Array:

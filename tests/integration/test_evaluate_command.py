@@ -58,6 +58,27 @@ def test_the_table_shows_every_class_in_percent_and_the_signature(capsys: pytest
     assert lines[-1].startswith("mDS 41.39  cityscapes3d:1|evaluator:1|gt:")
 
 
+@pytest.mark.parametrize(
+    ("case", "options", "zeroed"),
+    [
+        # One truck, and two buses in one bin; ten cars in as many bins as there are.
+        ("depth_bins", [], ["truck, bus"]),
+        # Every class that is found has true positives in two bins.
+        ("realistic60", [], []),
+        # The protocol of the paper averages over all bins, filled or not: one bin is not zero.
+        ("depth_bins", ["--protocol", "paper"], []),
+    ],
+)
+def test_a_zero_that_a_rule_makes_is_explained(
+    case: str, options: list[str], zeroed: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where true positives fill fewer than two depth bins the table says why AP stands beside zeros."""
+    assert main(["evaluate", "--gt", str(ORACLE / case / "gt"), str(ORACLE / case / "pred"), *options]) == 0
+
+    said = [line.split(":")[0] for line in capsys.readouterr().out.splitlines() if "fewer than two depth bins" in line]
+    assert said == zeroed
+
+
 def test_json_has_everything_and_writes_undefined_as_null(capsys: pytest.CaptureFixture[str]) -> None:
     """`--format json` gives our own document, with null where there is nothing to measure on."""
     assert main([*_arguments(TINY), "--format", "json"]) == 0

@@ -203,7 +203,7 @@ def test_two_methods_are_compared(site: Site, archive: bytes, score: Score) -> N
 
 
 def test_undefined_is_said(site: Site, archive: bytes, score: Score) -> None:
-    """A class without ground truth shows n/a, never 0: the small case has none of train."""
+    """A class without ground truth shows n/a, never 0: the small case has none of train. A 0 that a rule makes is explained."""
     with site.client(site.token()) as client:
         document = send(client, archive).json()
         score(document["id"])
@@ -217,6 +217,8 @@ def test_undefined_is_said(site: Site, archive: bytes, score: Score) -> None:
         assert row
         # Six metrics and the working point.
         assert row[1].count("n/a") == 7
+    # Half of the bicycles are found, all in one depth bin.
+    assert "bicycle: true positives in fewer than two depth bins" in page
 
 
 @pytest.mark.parametrize("path", ["/", BOARD, "/login", "/problems", "/nothing", "/static/base.css", "/favicon.ico"])
