@@ -1,5 +1,6 @@
 """A diagnosis as tables for the terminal: what costs points, errors against distance, oracles."""
 
+from client.score_text import zeroed_note
 from client.text_table import UNDEFINED, number, percent, points, text_table
 from evaluator.diagnosis.annotator_noise import AnnotatorNoise
 from evaluator.diagnosis.diagnose import Accuracy, ClassDiagnosis, Diagnosis
@@ -27,6 +28,7 @@ def diagnosis_text(scores: Scores, diagnosis: Diagnosis, label: str | None = Non
     what, accuracy = _chosen(diagnosis, label)
     tables = [
         _loss_table(defined),
+        *filter(None, [zeroed_note(scores)]),
         _cause_table(defined),
         _oracle_table(scores, diagnosis),
         _error_table(what, accuracy, diagnosis.annotator_noise),

@@ -32,15 +32,16 @@ def score_table(scores: Scores, uncertainty: "Uncertainty | None" = None) -> str
     rule = "-" * len(head)
     end = len(rows) - 1
     table = [head, rule, *lines[:end], rule, *lines[end:]]
-    return "\n".join([*(line.rstrip() for line in table), "", *_zeroed(scores), *_last_lines(scores, uncertainty)])
+    note = zeroed_note(scores)
+    end_lines = [*([note, ""] if note else []), *_last_lines(scores, uncertainty)]
+    return "\n".join([*(line.rstrip() for line in table), "", *end_lines])
 
 
-def _zeroed(scores: Scores) -> list[str]:
-    """Say why classes whose boxes were found have no detection score."""
-    if not scores.zeroed_labels:
-        return []
+def zeroed_note(scores: Scores) -> str:
+    """Say why classes that are found have no detection score; "" when there are none."""
+    labels = ", ".join(scores.zeroed_labels)
     why = "true positives in fewer than two depth bins, for which the reference makes all four similarities 0"
-    return [f"{', '.join(scores.zeroed_labels)}: {why}.", ""]
+    return f"{labels}: {why}." if labels else ""
 
 
 def _interval_rows(intervals: "NamedIntervals | None") -> list[tuple[str, ...]]:

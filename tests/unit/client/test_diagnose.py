@@ -38,6 +38,7 @@ def test_diagnose_prints_every_table(capsys: pytest.CaptureFixture[str]) -> None
         assert title in printed
     assert printed.splitlines()[-1].startswith("cityscapes3d:1|")
     assert "As KITTI" not in printed
+    assert "bicycle: true positives in fewer than two depth bins" in printed  # half of them are found, in one bin
 
 
 def test_diagnose_shows_the_errors_of_one_class(capsys: pytest.CaptureFixture[str]) -> None:
