@@ -1,18 +1,18 @@
-"""Evaluation of a submission's file with the work split by image over two processes.
+"""Evaluation of submissions' files with the work split by image over two processes.
 
-Both halves are read and matched at the same time; their statistics are joined, bit for bit what one process gives, and
-the doctor sees the boxes of both. Where a file of either half has something to be said about, everything is read once
+Both open a file and read and match their half of the images at the same time; the statistics of the halves are joined,
+bit for bit what one process gives, and the doctor sees the boxes of both. Where a file of either half has something to be said about, everything is read once
 more in one piece, so that there is one report and one place that writes it.
 """
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import signal
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from evaluator.archive import digest, open_source
 from evaluator.decoding import garbage_collection_paused
 from evaluator.doctor import Evidence, conclude, gather_evidence
+from evaluator.errors import UsageError
 from evaluator.evaluation import evaluate, match_by_protocol, score_by_protocol, signature_of
 from evaluator.findings import Findings
 from evaluator.ground_truth import GroundTruth
@@ -75,19 +76,25 @@ def evaluate_file(
     """Read a submission strictly and evaluate it.
 
     Args:
-        source: Path of a zip or a folder.
+        source: Path of a zip or a folder, which must not change meanwhile.
         ground_truth: What to evaluate against.
         protocol: The rules.
         ground_truth_sha256: For the signature.
-        split: Use two processes where it pays: from `FEWEST_IMAGES` on, if the system can fork.
+        split: Use two processes where it pays: from `FEWEST_IMAGES` on, if the system can fork. For many files on one
+            ground truth `TwoProcesses` is faster.
 
     Returns:
         Scores and statistics, or the report on why there are none.
     """
-    if split and len(ground_truth.images) >= FEWEST_IMAGES and "fork" in get_all_start_methods():
-        evaluation = _evaluate_in_halves(source, ground_truth, protocol, ground_truth_sha256)
-        if evaluation is not None:
-            return evaluation
+    if split:
+        with TwoProcesses(ground_truth, protocol, ground_truth_sha256=ground_truth_sha256) as both:
+            return both.evaluate(source)
+    return _evaluate_in_one(source, ground_truth, protocol, ground_truth_sha256)
+
+
+def _evaluate_in_one(
+    source: Path, ground_truth: GroundTruth, protocol: Protocol, ground_truth_sha256: str
+) -> FileEvaluation:
     intake = read_predictions(source, images=ground_truth, labels=evaluated_labels(protocol))
     if intake.predictions is None:
         return FileEvaluation(scores=None, statistics=None, report=intake.report, predictions_sha256=intake.sha256)
@@ -103,56 +110,109 @@ def evaluate_file(
     )
 
 
-def _evaluate_in_halves(
-    source: Path, ground_truth: GroundTruth, protocol: Protocol, ground_truth_sha256: str
-) -> FileEvaluation | None:
-    """Evaluate with a second process; None when the submission is not clean."""
-    findings = Findings()
-    with garbage_collection_paused(), open_source(source, DEFAULT_LIMITS, findings) as files:
+class TwoProcesses:
+    """Evaluates files on one ground truth, half of the images here and half in a second process, which is kept.
+
+    Kept, because a process that has just been forked asks the system for every page of memory it touches. With few
+    images, without fork, and once the second process has died, everything is done here.
+    """
+
+    def __init__(self, ground_truth: GroundTruth, protocol: Protocol, *, ground_truth_sha256: str = "") -> None:
+        """Start the second process; leave the `with` block or call `close` to end it."""
+        self._ground_truth, self._protocol = ground_truth, protocol
+        self._ground_truth_sha256 = ground_truth_sha256
+        middle = int(len(ground_truth.images) * _OWN_SHARE)
+        self._own, other = slice(0, middle), slice(middle, None)
+        pays = len(ground_truth.images) >= FEWEST_IMAGES and "fork" in get_all_start_methods()
+        self._other = _Other(ground_truth, protocol, other) if pays else None
+
+    @property
+    def is_split(self) -> bool:
+        """Tell whether there is a second process."""
+        return self._other is not None
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the second process."""
+        self.close()
+
+    def close(self) -> None:
+        """End the second process."""
+        if self._other is not None:
+            self._other.close()
+            self._other = None
+
+    def evaluate(self, source: Path) -> FileEvaluation:
+        """Read a submission strictly and evaluate it, like `evaluate_file`."""
+        evaluation = None
+        if self._other is not None:
+            try:
+                with garbage_collection_paused():
+                    evaluation = self._evaluate_in_halves(source, self._other)
+            except BaseException:
+                self.close()  # nobody knows what it would answer next
+                raise
+            if self._other.has_ended:
+                self.close()
+        return evaluation or _evaluate_in_one(source, self._ground_truth, self._protocol, self._ground_truth_sha256)
+
+    def _evaluate_in_halves(self, source: Path, other: "_Other") -> FileEvaluation | None:
+        """Evaluate with the second process; None when the submission is not clean."""
+        other.send(source)
+        findings = Findings()
+        own = _evaluate_half(source, self._ground_truth, self._protocol, self._own, findings)
+        sha256 = digest(source)
+        second = other.receive(_Half)
+        other.send(None if own is None else len(own.predictions))
+        if own is None or second is None:
+            return None
+        # The other process has a sample to take; meanwhile there is enough to do here.
+        statistics = join([own.half.statistics, second.statistics])
+        scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, sha256))
+        evidence = gather_evidence(own.predictions, self._ground_truth, after=len(second.score))
+        others = other.receive(Evidence)
+        if others is None:
+            return None
+        own.reading.label_counts = own.half.label_counts + second.label_counts
+        own.reading.note_unevaluated_labels()
+        score = np.concatenate([own.half.score, second.score])
+        conclude(score, Evidence.joined(evidence, others), findings)
+        images = len(self._ground_truth.images)
+        report = findings.report(images_expected=images, images_found=images, boxes=len(score))
+        return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=sha256)
+
+
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """A half with what it was read from."""
+
+    half: _Half
+    predictions: Predictions
+    """Of all images, but with the boxes of the half only."""
+    reading: StrictReading
+
+
+def _evaluate_half(
+    source: Path, ground_truth: GroundTruth, protocol: Protocol, part: slice, findings: Findings
+) -> _Read | None:
+    """Read and match the images of one part; None when there is anything to say about the archive or its files."""
+    with open_source(source, DEFAULT_LIMITS, findings) as files:
         if files is None:
             return None
         reading = StrictReading(files, ground_truth.images, evaluated_labels(protocol), DEFAULT_LIMITS, findings)
         if findings.error_count:
             return None
-        middle = int(len(ground_truth.images) * _OWN_SHARE)
-        with _forked(reading, findings, ground_truth, protocol, slice(middle, None)) as other:
-            own = _evaluate_half(reading, findings, ground_truth, protocol, slice(0, middle))
-            sha256 = digest(source)
-            second = other.receive(_Half)
-            if own is None or second is None:
-                return None
-            first, predictions = own
-            other.send(len(predictions))
-            # The other process has a sample to take, and takes its time to end; meanwhile there is enough to do here.
-            statistics = join([first.statistics, second.statistics])
-            scores = score_by_protocol(statistics, signature_of(protocol, ground_truth_sha256, sha256))
-            evidence = gather_evidence(predictions, ground_truth, after=len(second.score)), other.receive(Evidence)
-            if evidence[1] is None:
-                return None
-            reading.label_counts = first.label_counts + second.label_counts
-            reading.note_unevaluated_labels()
-            score = np.concatenate([first.score, second.score])
-            conclude(score, Evidence.joined(evidence[0], evidence[1]), findings)
-            images = len(ground_truth.images)
-            report = findings.report(images_expected=images, images_found=images, boxes=len(score))
-            return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=sha256)
-
-
-def _evaluate_half(
-    reading: StrictReading, findings: Findings, ground_truth: GroundTruth, protocol: Protocol, part: slice
-) -> tuple[_Half, Predictions] | None:
-    """Read and match the images of one part; None when there is anything to say about its files.
-
-    The predictions are of all images, but hold the boxes of the part only.
-    """
-    before = _groups(findings)
-    reading.assigned = reading.assigned[part]
-    predictions = reading.read(None)
-    if _groups(findings) != before:
-        return None
-    truth, own = ground_truth_of(ground_truth, part), predictions_of(predictions, part)
-    statistics = collect(truth, own, match_by_protocol(truth, own, protocol), protocol)
-    return _Half(statistics, predictions.score, reading.label_counts), predictions
+        before = _groups(findings)
+        reading.assigned = reading.assigned[part]
+        predictions = reading.read(None)
+        if _groups(findings) != before:
+            return None
+        truth, own = ground_truth_of(ground_truth, part), predictions_of(predictions, part)
+        statistics = collect(truth, own, match_by_protocol(truth, own, protocol), protocol)
+        return _Read(_Half(statistics, predictions.score, reading.label_counts), predictions, reading)
 
 
 def _groups(findings: Findings) -> tuple[ProblemGroup, ...]:
@@ -194,16 +254,34 @@ def ground_truth_of(ground_truth: GroundTruth, part: slice) -> GroundTruth:
 
 
 class _Other:
-    """The other process; it may die at any moment."""
+    """The second process; it may die at any moment."""
 
-    def __init__(self, connection: Connection) -> None:
-        """Take this end of the line."""
-        self._connection = connection
+    def __init__(self, ground_truth: GroundTruth, protocol: Protocol, part: slice) -> None:
+        """Start it; it shares the ground truth."""
+        context = get_context("fork")
+        here, there = context.Pipe()
 
-    def send(self, boxes_before: int) -> None:
-        """Tell how many boxes come before those of the other half, which it answers with its evidence."""
+        def work() -> None:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; this one is ended by the first
+            here.close()  # so that the end of the first process is noticed
+            with suppress(EOFError, OSError), garbage_collection_paused():
+                while True:
+                    _serve(there, ground_truth, protocol, part)
+
+        self._connection = here
+        self._process = context.Process(target=work, daemon=True)
+        self._process.start()
+        there.close()
+
+    @property
+    def has_ended(self) -> bool:
+        """Tell whether it died."""
+        return not self._process.is_alive()
+
+    def send(self, message: Path | int | None) -> None:
+        """Tell what to evaluate, then how many boxes come before its own, None when that does not matter."""
         with suppress(OSError):
-            self._connection.send(boxes_before)
+            self._connection.send(message)
 
     def receive(self, kind: type[_T]) -> _T | None:
         """Wait for what it sends; None also when it died."""
@@ -213,30 +291,21 @@ class _Other:
             return None
         return result if isinstance(result, kind) else None
 
+    def close(self) -> None:
+        """End it."""
+        self._connection.close()
+        self._process.kill()
+        self._process.join()
 
-@contextmanager
-def _forked(
-    reading: StrictReading, findings: Findings, ground_truth: GroundTruth, protocol: Protocol, part: slice
-) -> Iterator[_Other]:
-    """Evaluate a part in a forked process, which shares the open archive and the ground truth."""
-    context = get_context("fork")
-    here, there = context.Pipe()
 
-    def work() -> None:
-        done = _evaluate_half(reading, findings, ground_truth, protocol, part)
-        if done is None:
-            there.send(None)
-            return
-        half, predictions = done
-        there.send(half)
-        there.send(gather_evidence(predictions, ground_truth, before=there.recv()))
-
-    process = context.Process(target=work, daemon=True)
-    process.start()
-    there.close()
+def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol, part: slice) -> None:
+    """Answer one question of the first process: the half of a file, then the evidence of its boxes."""
+    source = connection.recv()
     try:
-        yield _Other(here)
-    finally:
-        here.close()
-        process.kill()
-        process.join()
+        done = _evaluate_half(source, ground_truth, protocol, part, Findings())
+    except UsageError:  # the first process says it
+        done = None
+    connection.send(None if done is None else done.half)
+    boxes_before = connection.recv()
+    if done is not None and boxes_before is not None:
+        connection.send(gather_evidence(done.predictions, ground_truth, before=boxes_before))

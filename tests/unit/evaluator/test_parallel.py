@@ -1,8 +1,10 @@
 """Two processes give what one gives, bit for bit, and the same report."""
 
 import json
+import subprocess
+import sys
 import zipfile
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import pytest
 
 from evaluator import parallel
 from evaluator.ground_truth import GroundTruth, read_ground_truth
-from evaluator.parallel import evaluate_file, ground_truth_of
+from evaluator.parallel import TwoProcesses, evaluate_file, ground_truth_of
 from evaluator.protocol import CITYSCAPES3D
 
 CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
@@ -29,9 +31,9 @@ def _sixty_images_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "FEWEST_IMAGES", 60)
 
 
-def _zip(folder: Path, changes: dict[str, bytes]) -> Path:
+def _zip(folder: Path, changes: dict[str, bytes], name: str = "predictions.zip") -> Path:
     """Pack the case's predictions with some files replaced."""
-    path = folder / "predictions.zip"
+    path = folder / name
     with zipfile.ZipFile(path, "w") as archive:
         for file in sorted((CASE / "pred").iterdir()):
             archive.writestr(file.name, changes.get(file.name, file.read_bytes()))
@@ -66,6 +68,75 @@ def test_few_images_need_no_second_process(
     evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=True)
 
     assert len(started) == processes
+
+
+def test_one_second_process_serves_many_files(ground_truth: GroundTruth, tmp_path: Path) -> None:
+    """Clean files, broken ones in either half and one that is no archive, in any order, come out as one by one."""
+    names = sorted(path.name for path in (CASE / "pred").iterdir())
+    broken = [{name: b'{"objects": [{}]}'} for name in (names[0], names[-1])]
+    changes = [{}, broken[0], {names[3]: b'{"objects": []}'}, broken[1], {}]
+    sources = [_zip(tmp_path, change, f"{number}.zip") for number, change in enumerate(changes)]
+    sources.insert(2, Path(__file__))
+
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        found = [both.evaluate(source) for source in sources]
+        assert both.is_split
+    assert not both.is_split
+
+    expected = [evaluate_file(source, ground_truth, CITYSCAPES3D, split=False) for source in sources]
+    assert [one.scores is None for one in found] == [False, True, True, False, True, False]
+    assert [(one.scores, one.report, one.predictions_sha256) for one in found] == [
+        (one.scores, one.report, one.predictions_sha256) for one in expected
+    ]
+
+
+def test_the_death_of_the_second_process_costs_time_only(ground_truth: GroundTruth) -> None:
+    """Killed between two files, it is done without: the same result, from then on by one process."""
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        first = both.evaluate(CASE / "pred")
+        (child,) = active_children()
+        child.kill()
+        second = both.evaluate(CASE / "pred")
+        assert not both.is_split
+        assert (first.scores, first.report) == (second.scores, second.report)
+
+
+def test_the_second_process_ends_with_the_first() -> None:
+    """Whoever is killed leaves no process behind."""
+    program = (
+        "import time\n"
+        "from pathlib import Path\n"
+        "from evaluator import parallel\n"
+        "from evaluator.ground_truth import read_ground_truth\n"
+        "from evaluator.protocol import CITYSCAPES3D\n"
+        "parallel.FEWEST_IMAGES = 60\n"
+        f"both = parallel.TwoProcesses(read_ground_truth(Path({str(CASE / 'gt')!r})), CITYSCAPES3D)\n"
+        "print('both run', flush=True)\n"
+        "time.sleep(600)\n"
+    )
+    first = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert first.stdout is not None
+    assert first.stdout.readline() == "both run\n"
+
+    first.kill()
+
+    # The output has an end when both have closed it.
+    assert first.communicate(timeout=60)[0] == ""
+
+
+def test_an_exception_leaves_no_half_answer_behind(ground_truth: GroundTruth, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an interruption the second process, which may be about to answer, is not asked again."""
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        with monkeypatch.context() as patch:
+            patch.setattr(parallel, "digest", _interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                both.evaluate(CASE / "pred")
+        assert not both.is_split
+        assert both.evaluate(CASE / "pred").scores is not None
+
+
+def _interrupted(_: Path) -> str:
+    raise KeyboardInterrupt
 
 
 def test_boxes_left_out_are_counted_over_both_halves(ground_truth: GroundTruth, tmp_path: Path) -> None:
