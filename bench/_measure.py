@@ -28,7 +28,7 @@ from evaluator.parallel import TwoProcesses, evaluate_file
 from evaluator.protocol import CITYSCAPES3D
 from evaluator.results import Scores
 
-RUNS = 7
+RUNS = 12
 
 
 def zipfile_floor(source: Path) -> None:

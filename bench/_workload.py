@@ -12,7 +12,7 @@ import numpy as np
 from evaluator.protocol import EVALUATED_LABELS
 from evaluator.synthetic import QUALITIES, synthesize_ground_truth, synthesize_predictions, write_zip
 
-GROUND_TRUTH_SEED, PREDICTION_SEED, SPREAD_SEED = 1, 2, 3
+GROUND_TRUTH_SEED, PREDICTION_SEED, SPREAD_SEED, CLASS_SEED = 1, 2, 3, 5
 OBJECTS_PER_IMAGE = 8
 """About as many as the ground truth has; predictions come with the likeliest first."""
 
@@ -36,6 +36,19 @@ def workload(images: int, boxes: int) -> Iterator[Workload]:
         write_zip(files, folder / "gt")
         write_zip(synthesize_predictions(files, QUALITIES[0], PREDICTION_SEED, boxes), folder / "pred.zip")
         yield Workload(folder, folder / "gt", folder / "pred.zip")
+
+
+def draw_classes_evenly(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Give all ground-truth boxes of evaluated classes a class drawn evenly."""
+    rng = np.random.default_rng(CLASS_SEED)
+    drawn = {}
+    for name, data in files.items():
+        document = json.loads(data)
+        for box in document["objects"]:
+            if box["label"] in EVALUATED_LABELS:
+                box["label"] = str(rng.choice(EVALUATED_LABELS))
+        drawn[name] = json.dumps(document).encode()
+    return drawn
 
 
 def spread_evenly(files: Mapping[str, bytes]) -> dict[str, bytes]:

@@ -4,8 +4,8 @@
 
 The workloads are synthetic (evaluator/synthetic) and seeded: 1525 images with about 13,000 ground-truth boxes, 30 and
 100 predictions for each image. Each comes twice: realistic, where most boxes are cars and most scores low, and even,
-where scores and the classes of unlikely boxes are drawn evenly; the reference takes longer for the latter, for it
-looks at every class with an active prediction at every threshold. Timed is the way from the zip's bytes to finished
+where all classes and scores are drawn evenly; the reference takes longer for the latter, for it looks at every class
+with an active prediction at every threshold. Timed is the way from the zip's bytes to finished
 results with the ground truth prepared; the reference reads the same files from a folder. Also measured: the floor
 (inflate and typed JSON decode alone) with Python's own zip reader and with the one used here, peak memory, growth of
 the cost with the boxes, attacks on the cost, and the whole command from a cold start.
@@ -28,7 +28,12 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from bench._workload import GROUND_TRUTH_SEED, PREDICTION_SEED, spread_evenly  # noqa: E402 - the path is set above
+from bench._workload import (  # noqa: E402 - the path is set above
+    GROUND_TRUTH_SEED,
+    PREDICTION_SEED,
+    draw_classes_evenly,
+    spread_evenly,
+)
 from evaluator.evaluation import evaluate  # noqa: E402 - likewise
 from evaluator.ground_truth import GroundTruth, read_ground_truth  # noqa: E402 - likewise
 from evaluator.predictions import Predictions  # noqa: E402 - likewise
@@ -61,20 +66,29 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         files = synthesize_ground_truth(args.images, GROUND_TRUTH_SEED)
-        write_zip(files, folder / "gt.zip")
-        ground_truth = read_ground_truth(folder / "gt.zip")
-        (folder / "gt.arrays").write_bytes(ground_truth.to_bytes())
-        print(f"{args.images} images, {len(ground_truth)} ground-truth boxes, {os.cpu_count()} processors")
+        workloads = {"realistic": files, "even": draw_classes_evenly(files)}
+        ground_truths = {kind: _prepare(folder / kind, workloads[kind]) for kind in workloads}
+        print(f"{args.images} images, {len(ground_truths['even'])} ground-truth boxes, {os.cpu_count()} processors")
         python = None if args.without_reference else reference_python()
         equal = []
         for boxes in args.boxes:
-            predictions = synthesize_predictions(files, QUALITIES[0], PREDICTION_SEED, boxes)
-            equal.append(_compare(folder, predictions, f"{boxes} predictions per image, realistic", python))
-            equal.append(_compare(folder, spread_evenly(predictions), f"{boxes} predictions per image, even", python))
-        _command(folder, folder / f"{args.boxes[0]} predictions per image, realistic.zip")
+            for kind, of_kind in workloads.items():
+                predictions = synthesize_predictions(of_kind, QUALITIES[0], PREDICTION_SEED, boxes)
+                chosen = spread_evenly(predictions) if kind == "even" else predictions
+                equal.append(_compare(folder / kind, chosen, f"{boxes} predictions per image, {kind}", python))
+        _command(folder / "realistic", f"{args.boxes[0]} predictions per image, realistic")
         _growth(files)
-        _attacks(ground_truth)
+        _attacks(ground_truths["realistic"])
     return 0 if all(equal) else 1
+
+
+def _prepare(folder: Path, files: dict[str, bytes]) -> GroundTruth:
+    """Write ground truth as a zip and as the array file that is read at once."""
+    folder.mkdir()
+    write_zip(files, folder / "gt.zip")
+    ground_truth = read_ground_truth(folder / "gt.zip")
+    (folder / "gt.arrays").write_bytes(ground_truth.to_bytes())
+    return ground_truth
 
 
 def _compare(folder: Path, predictions: dict[str, bytes], title: str, python: Path | None) -> bool:
@@ -156,7 +170,7 @@ def _reference(folder: Path, path: Path, python: Path) -> tuple[tuple[float, flo
     return (seconds, processor_s), json.loads(result.read_text())
 
 
-def _command(folder: Path, predictions: Path) -> None:
+def _command(folder: Path, title: str) -> None:
     """Time the whole command from a cold start: imports, reading the ground truth's zip, everything."""
     command: list[str | Path] = [
         sys.executable,
@@ -165,7 +179,7 @@ def _command(folder: Path, predictions: Path) -> None:
         "evaluate",
         "--gt",
         folder / "gt.zip",
-        predictions,
+        folder / f"{title}.zip",
     ]
     seconds = []
     for _ in range(5):
@@ -174,7 +188,7 @@ def _command(folder: Path, predictions: Path) -> None:
             command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True, preexec_fn=_pin
         )
         seconds.append(time.perf_counter() - start)
-    print(f"\ncs3d evaluate, cold, one processor, {predictions.stem}: {min(seconds):.2f} s")
+    print(f"\ncs3d evaluate, cold, one processor, {title}: {min(seconds):.2f} s")
 
 
 def _growth(files: dict[str, bytes]) -> None:
