@@ -161,7 +161,7 @@ class TwoProcesses:
 
     def _evaluate_in_halves(self, source: Path, other: "_Other") -> FileEvaluation | None:
         """Evaluate with the second process; None when the submission is not clean."""
-        other.send(source)
+        other.send(source.absolute())  # it is where the first process was at the start
         findings = Findings()
         own = _evaluate_half(source, self._ground_truth, self._protocol, self._own, findings)
         sha256 = digest(source)
@@ -198,7 +198,7 @@ class _Read:
 def _evaluate_half(
     source: Path, ground_truth: GroundTruth, protocol: Protocol, part: slice, findings: Findings
 ) -> _Read | None:
-    """Read and match the images of one part; None when there is anything to say about the archive or its files."""
+    """Read and match the images of one part; None for a broken archive, and when there is anything to say of its files."""
     with open_source(source, DEFAULT_LIMITS, findings) as files:
         if files is None:
             return None
@@ -264,7 +264,7 @@ class _Other:
         def work() -> None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; this one is ended by the first
             here.close()  # so that the end of the first process is noticed
-            with suppress(EOFError, OSError), garbage_collection_paused():
+            with suppress(EOFError, OSError):
                 while True:
                     _serve(there, ground_truth, protocol, part)
 
@@ -301,10 +301,11 @@ class _Other:
 def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol, part: slice) -> None:
     """Answer one question of the first process: the half of a file, then the evidence of its boxes."""
     source = connection.recv()
-    try:
-        done = _evaluate_half(source, ground_truth, protocol, part, Findings())
-    except UsageError:  # the first process says it
-        done = None
+    with garbage_collection_paused():
+        try:
+            done = _evaluate_half(source, ground_truth, protocol, part, Findings())
+        except UsageError:  # the first process says it
+            done = None
     connection.send(None if done is None else done.half)
     boxes_before = connection.recv()
     if done is not None and boxes_before is not None:

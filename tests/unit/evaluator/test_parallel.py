@@ -90,6 +90,23 @@ def test_one_second_process_serves_many_files(ground_truth: GroundTruth, tmp_pat
     ]
 
 
+def test_a_relative_path_means_the_same_to_both(
+    ground_truth: GroundTruth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It starts where the first process is at the call, though a file of this name lies where both were at the start."""
+    last = max(path.name for path in (CASE / "pred").iterdir())
+    there, here = tmp_path / "there", tmp_path / "here"
+    for folder, changes in ((there, {last: b'{"objects": []}'}), (here, {})):
+        folder.mkdir()
+        _zip(folder, changes, "p.zip")
+    monkeypatch.chdir(there)
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        monkeypatch.chdir(here)
+        found = both.evaluate(Path("p.zip"))
+        assert both.is_split
+    assert found.scores == evaluate_file(here / "p.zip", ground_truth, CITYSCAPES3D, split=False).scores
+
+
 def test_the_death_of_the_second_process_costs_time_only(ground_truth: GroundTruth) -> None:
     """Killed between two files, it is done without: the same result, from then on by one process."""
     with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
