@@ -66,7 +66,7 @@ class _Half:
 
 
 def two_processes_help() -> bool:
-    """Tell whether this machine has a second processor and can fork."""
+    """Tell whether this machine has a second processor."""
     return len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1
 
 
@@ -114,7 +114,7 @@ class TwoProcesses:
     """Evaluates files on one ground truth, half of the images here and half in a second process, which is kept.
 
     Kept, because a process that has just been forked asks the system for every page of memory it touches. With few
-    images, without fork, and once the second process has died, everything is done here.
+    images, where no second process can be started, and once it has died, everything is done here. For one thread.
     """
 
     def __init__(self, ground_truth: GroundTruth, protocol: Protocol, *, ground_truth_sha256: str = "") -> None:
@@ -124,7 +124,10 @@ class TwoProcesses:
         middle = int(len(ground_truth.images) * _OWN_SHARE)
         self._own, other = slice(0, middle), slice(middle, None)
         pays = len(ground_truth.images) >= FEWEST_IMAGES and "fork" in get_all_start_methods()
-        self._other = _Other(ground_truth, protocol, other) if pays else None
+        self._other: _Other | None = None
+        if pays:
+            with suppress(OSError):  # no process or no memory to be had
+                self._other = _Other(ground_truth, protocol, other)
 
     @property
     def is_split(self) -> bool:
@@ -262,32 +265,37 @@ class _Other:
         here, there = context.Pipe()
 
         def work() -> None:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; this one is ended by the first
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; this one is ended by the first,
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)  # by this at the latest, whatever the first makes of it
             here.close()  # so that the end of the first process is noticed
             with suppress(EOFError, OSError):
                 while True:
                     _serve(there, ground_truth, protocol, part)
 
         self._connection = here
+        self.has_ended = False
+        """Noticed at the next word with it."""
         self._process = context.Process(target=work, daemon=True)
-        self._process.start()
-        there.close()
-
-    @property
-    def has_ended(self) -> bool:
-        """Tell whether it died."""
-        return not self._process.is_alive()
+        with there:
+            try:
+                self._process.start()
+            except OSError:
+                here.close()
+                raise
 
     def send(self, message: Path | int | None) -> None:
         """Tell what to evaluate, then how many boxes come before its own, None when that does not matter."""
-        with suppress(OSError):
+        try:
             self._connection.send(message)
+        except OSError:
+            self.has_ended = True
 
     def receive(self, kind: type[_T]) -> _T | None:
         """Wait for what it sends; None also when it died."""
         try:
             result = self._connection.recv()
         except (EOFError, OSError):
+            self.has_ended = True
             return None
         return result if isinstance(result, kind) else None
 
@@ -304,7 +312,7 @@ def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol
     with garbage_collection_paused():
         try:
             done = _evaluate_half(source, ground_truth, protocol, part, Findings())
-        except UsageError:  # the first process says it
+        except (UsageError, OSError):  # the first process says it
             done = None
     connection.send(None if done is None else done.half)
     boxes_before = connection.recv()

@@ -1,6 +1,7 @@
 """Two processes give what one gives, bit for bit, and the same report."""
 
 import json
+import os
 import subprocess
 import sys
 import zipfile
@@ -139,6 +140,36 @@ def test_the_second_process_ends_with_the_first() -> None:
 
     # The output has an end when both have closed it.
     assert first.communicate(timeout=60)[0] == ""
+
+
+def test_where_no_process_can_be_started_one_does_it(
+    ground_truth: GroundTruth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine that refuses to fork costs time only."""
+
+    def refused() -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "fork", refused)
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        assert not both.is_split
+        assert both.evaluate(CASE / "pred").scores is not None
+
+
+def test_a_program_that_ignores_sigterm_still_ends() -> None:
+    """At its end multiprocessing sends SIGTERM to what it started, and waits."""
+    program = (
+        "import signal\n"
+        "from pathlib import Path\n"
+        "from evaluator import parallel\n"
+        "from evaluator.ground_truth import read_ground_truth\n"
+        "from evaluator.protocol import CITYSCAPES3D\n"
+        "parallel.FEWEST_IMAGES = 60\n"
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        f"both = parallel.TwoProcesses(read_ground_truth(Path({str(CASE / 'gt')!r})), CITYSCAPES3D)\n"
+        "assert both.is_split\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], timeout=60, check=False).returncode == 0
 
 
 def test_an_exception_leaves_no_half_answer_behind(ground_truth: GroundTruth, monkeypatch: pytest.MonkeyPatch) -> None:
