@@ -23,12 +23,16 @@ Shape = Literal["embedded", "scale_out"]
 
 
 @pytest.fixture(scope="session")
-def postgresql(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PostgresqlServer]:
-    """Give a running PostgreSQL server."""
-    server = PostgresqlServer(tmp_path_factory.mktemp("postgresql"))
-    server.start()
-    yield server
-    server.kill()
+def postgresql() -> Iterator[PostgresqlServer]:
+    """Give a running PostgreSQL server.
+
+    Not below pytest's own folder: as root the server is another user, whom a second pytest run at its start shuts out.
+    """
+    with tempfile.TemporaryDirectory(prefix="cs3d-postgresql-") as name:
+        server = PostgresqlServer(Path(name))
+        server.start()
+        yield server
+        server.kill()
 
 
 @pytest.fixture(scope="session")
