@@ -5,6 +5,7 @@ bit for bit what one process gives, and the doctor sees the boxes of both. Where
 more in one piece, so that there is one report and one place that writes it.
 """
 
+import atexit
 import os
 import signal
 from contextlib import suppress
@@ -265,8 +266,7 @@ class _Other:
         here, there = context.Pipe()
 
         def work() -> None:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; this one is ended by the first,
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)  # by this at the latest, whatever the first makes of it
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; this one is ended by the first
             here.close()  # so that the end of the first process is noticed
             with suppress(EOFError, OSError):
                 while True:
@@ -282,6 +282,8 @@ class _Other:
             except OSError:
                 here.close()
                 raise
+        # Before multiprocessing, which would send SIGTERM, ignored where the first process does so, and wait for ever.
+        atexit.register(self.close)
 
     def send(self, message: Path | int | None) -> None:
         """Tell what to evaluate, then how many boxes come before its own, None when that does not matter."""
@@ -301,6 +303,7 @@ class _Other:
 
     def close(self) -> None:
         """End it."""
+        atexit.unregister(self.close)
         self._connection.close()
         self._process.kill()
         self._process.join()
