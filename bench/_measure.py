@@ -3,9 +3,9 @@
     python _measure.py WHAT GROUND_TRUTH_ARRAYS PREDICTIONS_ZIP RESULT_FILE
 
 WHAT is `zipfile` or `isal` (a floor: inflate and typed JSON decode alone, by Python's own zip reader or by ours), or
-`one` or `two` (processes of the evaluator; the second is started before, like the ground truth). Prints JSON: best and median seconds
-of several runs, the best processor seconds (of the second process the mean; what a busy machine disturbs least), and the
-peak memory of this process and its children in MB.
+`one` or `two` (processes of the evaluator; the second is started before, like the ground truth). Prints JSON: best and
+median seconds of several runs, the best processor seconds (of the second process the mean; what a busy machine disturbs
+least), and the peak memory of this process and its children in MB.
 """
 
 import gc
