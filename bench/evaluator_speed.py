@@ -9,6 +9,9 @@ with an active prediction at every threshold. Timed is the way from the zip's by
 results with the ground truth prepared; the reference reads the same files from a folder. Also measured: the floor
 (inflate and typed JSON decode alone) with Python's own zip reader and with the one used here, peak memory, growth of
 the cost with the boxes, attacks on the cost, and the whole command from a cold start.
+
+A machine shared with others is at times half as fast for a minute. So everything is measured in several rounds over the
+whole run, ours before and after the reference in each, and of every time the least counts, the reference's as well.
 """
 
 import argparse
@@ -19,7 +22,7 @@ import sys
 import tempfile
 import time
 import zipfile
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +51,7 @@ from tests.reference.process import reference_python  # noqa: E402 - likewise
 from tests.results_comparison import differences  # noqa: E402 - likewise
 
 HERE = Path(__file__).parent
+_ROUNDS = 2
 _TITLES = {
     "zipfile": "floor: zipfile, typed decode",
     "isal": "floor: own zip reader with isal, same",
@@ -70,16 +74,21 @@ def main() -> int:
         ground_truths = {kind: _prepare(folder / kind, workloads[kind]) for kind in workloads}
         print(f"{args.images} images, {len(ground_truths['even'])} ground-truth boxes, {os.cpu_count()} processors")
         python = None if args.without_reference else reference_python()
-        equal = []
-        for boxes in args.boxes:
-            for kind, of_kind in workloads.items():
-                predictions = synthesize_predictions(of_kind, QUALITIES[0], PREDICTION_SEED, boxes)
-                chosen = spread_evenly(predictions) if kind == "even" else predictions
-                equal.append(_compare(folder / kind, chosen, f"{boxes} predictions per image, {kind}", python))
-        _command(folder / "realistic", f"{args.boxes[0]} predictions per image, realistic")
+        measurements = [
+            _Measurement.of(folder / kind, of_kind, boxes, is_even=kind == "even")
+            for boxes in args.boxes
+            for kind, of_kind in workloads.items()
+        ]
+        for number in range(_ROUNDS):
+            for measurement in measurements:
+                print(f"round {number + 1} of {_ROUNDS}: {measurement.path.stem}", file=sys.stderr, flush=True)
+                measurement.run(python)
+        for measurement in measurements:
+            measurement.show()
+        _command(measurements[0])
         _growth(files)
         _attacks(ground_truths["realistic"])
-    return 0 if all(equal) else 1
+    return 1 if any(measurement.differences for measurement in measurements) else 0
 
 
 def _prepare(folder: Path, files: dict[str, bytes]) -> GroundTruth:
@@ -91,33 +100,67 @@ def _prepare(folder: Path, files: dict[str, bytes]) -> GroundTruth:
     return ground_truth
 
 
-def _compare(folder: Path, predictions: dict[str, bytes], title: str, python: Path | None) -> bool:
-    """Measure one workload; return whether the results agree with the reference's."""
-    path = folder / f"{title}.zip"
-    write_zip(predictions, path)
-    size = sum(map(len, predictions.values())) / 1e6
-    print(f"\n{title}: {size:.0f} MB of JSON, {path.stat().st_size / 1e6:.0f} MB zip", flush=True)
-    # A machine shared with others is at times half as fast for a minute, so ours is measured before and after.
-    before = {what: _measure(what, folder, path) for what in _TITLES}
-    reference, expected = ((0.0, 0.0), None) if python is None else _reference(folder, path, python)
-    measured = {what: _joined(before[what], _measure(what, folder, path)) for what in _TITLES}
-    print(f"  {'':36} seconds  median  processor  x zipfile  x isal  peak MB  x reference, by seconds (by processor)")
-    if python is not None:
-        print(f"  {'reference':36} {reference[0]:7.2f}          {reference[1]:9.2f}")
-    for what, line in _TITLES.items():
-        values = measured[what]
-        processor_s = values["processor_s"]
-        floors = [processor_s / measured[floor]["processor_s"] for floor in ("zipfile", "isal")]
-        faster = f"{reference[0] / values['best_s']:6.0f} ({reference[1] / processor_s:.0f})" if reference[0] else ""
+@dataclass(kw_only=True)
+class _Measurement:
+    """One workload, and what was measured of it so far."""
+
+    folder: Path
+    path: Path
+    json_bytes: int
+    least: dict[str, dict[str, float]] = field(default_factory=dict)
+    reference: dict[str, float] = field(default_factory=dict)
+    """Seconds and processor seconds; empty without the reference."""
+    differences: list[str] = field(default_factory=list)
+    """Where the results are not the reference's."""
+
+    @classmethod
+    def of(cls, folder: Path, files: dict[str, bytes], boxes: int, *, is_even: bool) -> "_Measurement":
+        """Write the predictions, so many for each image."""
+        predictions = synthesize_predictions(files, QUALITIES[0], PREDICTION_SEED, boxes)
+        if is_even:
+            predictions = spread_evenly(predictions)
+        path = folder / f"{boxes} predictions per image, {folder.name}.zip"
+        write_zip(predictions, path)
+        return cls(folder=folder, path=path, json_bytes=sum(map(len, predictions.values())))
+
+    def run(self, python: Path | None) -> None:
+        """Measure ours before and after the reference, and compare the results."""
+        self._measure_ours()
+        if python is not None:
+            seconds, expected = _reference(self.folder, self.path, python)
+            self.reference = _least(self.reference, seconds)
+            ours = json.loads((self.folder / "one.json").read_text())
+            self.differences += map(str, differences(ours, expected))
+        self._measure_ours()
+
+    def _measure_ours(self) -> None:
+        for what in _TITLES:
+            self.least[what] = _least(self.least.get(what, {}), _measure(what, self.folder, self.path))
+
+    def show(self) -> None:
+        """Print the least of everything."""
+        size = f"{self.json_bytes / 1e6:.0f} MB of JSON, {self.path.stat().st_size / 1e6:.0f} MB zip"
+        print(f"\n{self.path.stem}: {size}")
         print(
-            f"  {line:36} {values['best_s']:7.3f} {values['median_s']:7.3f}  {processor_s:9.3f}"
-            f"  {floors[0]:9.2f}  {floors[1]:6.2f}  {values['peak_mb']:7.0f}  {faster}"
+            f"  {'':36} seconds  median  processor  x zipfile  x isal  peak MB  x reference, by seconds (by processor)"
         )
-    if expected is None:
-        return True
-    found = list(differences(json.loads((folder / "one.json").read_text()), expected))
-    print("  results: " + (f"{len(found)} differences, first {found[0]}" if found else "every number equal to 1e-9"))
-    return not found
+        if self.reference:
+            print(f"  {'reference':36} {self.reference['s']:7.2f}          {self.reference['processor_s']:9.2f}")
+        for what, line in _TITLES.items():
+            values = self.least[what]
+            best_s, processor_s = values["best_s"], values["processor_s"]
+            floors = [processor_s / self.least[floor]["processor_s"] for floor in ("zipfile", "isal")]
+            faster = ""
+            if self.reference:
+                faster = f"{self.reference['s'] / best_s:6.0f} ({self.reference['processor_s'] / processor_s:.0f})"
+            print(
+                f"  {line:36} {best_s:7.3f} {values['median_s']:7.3f}  {processor_s:9.3f}"
+                f"  {floors[0]:9.2f}  {floors[1]:6.2f}  {values['peak_mb']:7.0f}  {faster}"
+            )
+        if self.reference:
+            count = len(self.differences)
+            found = f"{count} differences, first {self.differences[0]}" if count else "every number equal to 1e-9"
+            print(f"  results: {found}", flush=True)
 
 
 def _measure(what: str, folder: Path, path: Path) -> dict[str, float]:
@@ -136,12 +179,9 @@ def _measure(what: str, folder: Path, path: Path) -> dict[str, float]:
     return dict(json.loads(done.stdout))
 
 
-def _joined(first: dict[str, float], second: dict[str, float]) -> dict[str, float]:
-    """Return the least of two measurements; of their medians the mean, and the greater peak."""
-    joined = {name: min(first[name], second[name]) for name in first}
-    joined["median_s"] = (first["median_s"] + second["median_s"]) / 2
-    joined["peak_mb"] = max(first["peak_mb"], second["peak_mb"])
-    return joined
+def _least(before: dict[str, float], values: dict[str, float]) -> dict[str, float]:
+    """Return the least of what was measured before and what follows, but the greatest peak."""
+    return {name: (max if name == "peak_mb" else min)(value, before.get(name, value)) for name, value in values.items()}
 
 
 def _pin() -> None:
@@ -149,28 +189,20 @@ def _pin() -> None:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
-def _reference(folder: Path, path: Path, python: Path) -> tuple[tuple[float, float], Any]:
+def _reference(folder: Path, path: Path, python: Path) -> tuple[dict[str, float], Any]:
     """Return the reference's seconds and processor seconds, and its results."""
+    work = folder / path.stem
     for name, source in (("gt", folder / "gt.zip"), ("pred", path)):
         with zipfile.ZipFile(source) as archive:
-            archive.extractall(folder / path.stem / name)
+            archive.extractall(work / name)
     result = folder / "reference.json"
-    work = folder / path.stem
-    command: list[str | Path] = [
-        python,
-        "-W",
-        "ignore",
-        HERE / "_time_reference.py",
-        work / "gt",
-        work / "pred",
-        result,
-    ]
-    done = subprocess.run(command, cwd=folder, capture_output=True, check=True)
+    timed = [HERE / "_time_reference.py", work / "gt", work / "pred", result]
+    done = subprocess.run([python, "-W", "ignore", *timed], cwd=folder, capture_output=True, check=True)
     seconds, processor_s = map(float, done.stdout.split()[-2:])
-    return (seconds, processor_s), json.loads(result.read_text())
+    return {"s": seconds, "processor_s": processor_s}, json.loads(result.read_text())
 
 
-def _command(folder: Path, title: str) -> None:
+def _command(measurement: _Measurement) -> None:
     """Time the whole command from a cold start: imports, reading the ground truth's zip, everything."""
     command: list[str | Path] = [
         sys.executable,
@@ -178,8 +210,8 @@ def _command(folder: Path, title: str) -> None:
         "client.main",
         "evaluate",
         "--gt",
-        folder / "gt.zip",
-        folder / f"{title}.zip",
+        measurement.folder / "gt.zip",
+        measurement.path,
     ]
     seconds = []
     for _ in range(5):
@@ -188,7 +220,7 @@ def _command(folder: Path, title: str) -> None:
             command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True, preexec_fn=_pin
         )
         seconds.append(time.perf_counter() - start)
-    print(f"\ncs3d evaluate, cold, one processor, {title}: {min(seconds):.2f} s")
+    print(f"\ncs3d evaluate, cold, one processor, {measurement.path.stem}: {min(seconds):.2f} s")
 
 
 def _growth(files: dict[str, bytes]) -> None:
