@@ -47,18 +47,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def difference_text(difference: "Difference", paired: "Comparison | None") -> str:
-    """Return the split as a table, in percent points, what the bootstrap says below it, and both signatures last."""
-    from client.text_table import percent, points, text_table  # noqa: PLC0415 - not needed for JSON
+    """Return the split as a table, in percent points, below it what explains it, and both signatures last."""
+    from client.score_text import zeroed_note  # noqa: PLC0415 - not needed for JSON
+    from client.text_table import percent, points, text_table  # noqa: PLC0415 - likewise
+    from evaluator.diagnosis.loss import PARTS  # noqa: PLC0415 - likewise
 
     lines = [(part.label, part.parts, part.total) for part in difference.classes]
     rows = [
-        (label, *(points(getattr(parts, name, None)) for name in NAMES), points(total))
+        (label, *(points(getattr(parts, name, None)) for name in PARTS), points(total))
         for label, parts, total in [*lines, ("all", difference.parts, difference.total)]
     ]
     header = ("class", "AP", "BEVCD", "YawSim", "PRSim", "SizeSim", "total")
     title = f"mDS {percent(difference.mds[0])} -> {percent(difference.mds[1])}: points of mDS by class and part"
+    zeroed = zip(("first", "second"), difference.zeroed_labels, strict=True)
+    notes = [f"In the {place} submission {zeroed_note(labels)}" for place, labels in zeroed if labels]
+    chance = f"Paired bootstrap over images: {_chance_text(paired)}"
     signatures = "\n".join(map(str, difference.signatures))
-    return f"{text_table(title, header, rows)}\n\nPaired bootstrap over images: {_chance_text(paired)}\n\n{signatures}"
+    return "\n\n".join([text_table(title, header, rows), *notes, chance, signatures])
 
 
 def _chance_text(paired: "Comparison | None") -> str:
@@ -72,7 +77,3 @@ def _chance_text(paired: "Comparison | None") -> str:
         f"difference {points(interval.estimate)}, 95 % interval "
         f"[{points(interval.lower)}, {points(interval.upper)}], p = {paired.p_value:.3f}"
     )
-
-
-NAMES = ("ap", "bevcd", "yaw_sim", "pr_sim", "size_sim")
-"""The parts in the order of the columns."""

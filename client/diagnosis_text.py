@@ -28,7 +28,7 @@ def diagnosis_text(scores: Scores, diagnosis: Diagnosis, label: str | None = Non
     what, accuracy = _chosen(diagnosis, label)
     tables = [
         _loss_table(defined),
-        *filter(None, [zeroed_note(scores)]),
+        *filter(None, [zeroed_note(scores.zeroed_labels)]),
         _cause_table(defined),
         _oracle_table(scores, diagnosis),
         _error_table(what, accuracy, diagnosis.annotator_noise),

@@ -1,6 +1,6 @@
 """Scores as a table for the terminal, in percent."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from client.text_table import UNDEFINED, aligned, number, percent
@@ -32,16 +32,15 @@ def score_table(scores: Scores, uncertainty: "Uncertainty | None" = None) -> str
     rule = "-" * len(head)
     end = len(rows) - 1
     table = [head, rule, *lines[:end], rule, *lines[end:]]
-    note = zeroed_note(scores)
+    note = zeroed_note(scores.zeroed_labels)
     end_lines = [*([note, ""] if note else []), *_last_lines(scores, uncertainty)]
     return "\n".join([*(line.rstrip() for line in table), "", *end_lines])
 
 
-def zeroed_note(scores: Scores) -> str:
-    """Say why classes that are found have no detection score; "" when there are none."""
-    labels = ", ".join(scores.zeroed_labels)
+def zeroed_note(labels: Sequence[str]) -> str:
+    """Say why classes that are found have a detection score of 0; "" without any."""
     why = "true positives in fewer than two depth bins, for which the reference makes all four similarities 0"
-    return f"{labels}: {why}." if labels else ""
+    return f"{', '.join(labels)}: {why}." if labels else ""
 
 
 def _interval_rows(intervals: "NamedIntervals | None") -> list[tuple[str, ...]]:

@@ -31,6 +31,9 @@ from server.models import (
     Team,
 )
 
+_NO_CURVES: dict[str, tuple[float, ...]] = {"recall": (), "precision": ()}
+"""What a summary leaves out of classes and depth bins."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Basis:
@@ -226,7 +229,16 @@ def summary_of(scores: Scores) -> dict[str, Any]:
     summary: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(scores))
     del summary["thresholds"]
     for label in summary["classes"]:
-        del label["recall"], label["precision"]
-        for depth_bin in label["depth_bins"]:
-            del depth_bin["recall"], depth_bin["precision"]
+        for part in (label, *label["depth_bins"]):
+            for name in _NO_CURVES:
+                del part[name]
     return summary
+
+
+def scores_of(summary: dict[str, Any]) -> Scores:
+    """Give the scores that `summary_of` made a summary of, with empty lists of recall and precision."""
+    classes = [
+        {**label, **_NO_CURVES, "depth_bins": [{**depth_bin, **_NO_CURVES} for depth_bin in label["depth_bins"]]}
+        for label in summary["classes"]
+    ]
+    return msgspec.convert({**summary, "thresholds": (), "classes": classes}, Scores)

@@ -37,6 +37,8 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True):
     """Second minus first mDS, None when no class has ground truth."""
     parts: Parts | None
     """Summed over the classes; their sum is `total`."""
+    zeroed_labels: tuple[tuple[str, ...], tuple[str, ...]]
+    """`Scores.zeroed_labels` of the first and the second submission."""
     classes: tuple[ClassDifference, ...]
 
 
@@ -55,6 +57,7 @@ def explain_difference(first: Scores, second: Scores) -> Difference:
         mds=(first.mds, second.mds),
         total=total,
         parts=_sum(classes),
+        zeroed_labels=(first.zeroed_labels, second.zeroed_labels),
         classes=classes,
     )
 

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from evaluator.protocol import Signature
 from evaluator.uncertainty import Comparison
 from server import standings
-from server.ranking import LeaderboardRow
+from server.ranking import LeaderboardRow, scores_of
 
 Metric = Literal["detection_score", "ap", "bevcd", "yaw_sim", "pr_sim", "size_sim"]
 
@@ -135,6 +135,11 @@ def bins_of(row: LeaderboardRow, label: str) -> list[dict[str, Any]]:
         (one["depth_bins"] for one in row.summary["classes"] if one["label"] == label), []
     )
     return bins
+
+
+def zeroed_labels(row: LeaderboardRow) -> tuple[str, ...]:
+    """Name the classes of a row whose detection score a rule makes 0 (`Scores.zeroed_labels`)."""
+    return scores_of(row.summary).zeroed_labels
 
 
 def signature_of(row: LeaderboardRow) -> str:

@@ -197,6 +197,8 @@ def test_two_methods_are_compared(site: Site, archive: bytes, score: Score) -> N
     with site.client() as visitor:
         rows = {row["submission_id"]: row for row in visitor.get("/api/v1/leaderboards/cs3d/test").json()["rows"]}
     assert signatures == [rows[best]["signature"], rows[worst]["signature"]]
+    # The best finds bicycles in one depth bin only; a class that is not found at all needs no word.
+    assert re.findall(r">([^<]*): true positives in fewer than two depth bins", page) == ["best, bicycle"]
     # Two images are too few to say how far the difference can be trusted.
     assert row[1].count('<span class="undefined">n/a</span>') == 2
     assert "n/a" in page

@@ -113,6 +113,18 @@ def test_compare_prints_a_table(capsys: pytest.CaptureFixture[str], worse: Path)
         assert re.fullmatch(r"cityscapes3d:1\|evaluator:[^|]+\|gt:[0-9a-f]{12}\|pred:[0-9a-f]{12}", signature)
 
 
+def test_compare_explains_zeros_that_a_rule_makes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Trucks and buses are in one depth bin each; the second submission has no buses, and their 0 needs no word."""
+    case = CASE.parent / "depth_bins"
+    for path in sorted((case / "pred").glob("*.json")):
+        document = json.loads(path.read_text())
+        document["objects"] = [item for item in document["objects"] if item["label"] != "bus"]
+        (tmp_path / path.name).write_text(json.dumps(document))
+    assert main(["compare", "--gt", str(case / "gt"), str(case / "pred"), str(tmp_path)]) == 0
+    said = [line.partition(": true positives")[0] for line in capsys.readouterr().out.splitlines() if "fewer" in line]
+    assert said == ["In the first submission truck, bus", "In the second submission truck"]
+
+
 def test_equal_submissions_do_not_differ(capsys: pytest.CaptureFixture[str]) -> None:
     """A submission compared with itself differs by exactly 0."""
     assert main(["compare", *ARGUMENTS, str(CASE / "pred"), str(CASE / "pred"), "--json"]) == 0
