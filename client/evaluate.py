@@ -128,7 +128,7 @@ def formatted(scores: "Scores", style: str, uncertainty: "Uncertainty | None" = 
 
         from evaluator.cityscapes_format import cityscapes_results  # noqa: PLC0415 - likewise
 
-        return json.dumps(cityscapes_results(scores), indent=4)
+        return json.dumps({**cityscapes_results(scores), "signature": str(scores.signature)}, indent=4)
     from client.score_text import score_table  # noqa: PLC0415 - likewise
 
     return score_table(scores, uncertainty)

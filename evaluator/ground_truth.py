@@ -141,6 +141,14 @@ def read_ground_truth(source: Path) -> GroundTruth:
         ) from error
 
 
+def ground_truth_files(source: Path) -> dict[str, bytes]:
+    """Return what `read_ground_truth` takes from a folder or zip that it has read: the files' bytes by base name.
+
+    No two have one name: they would be for one image.
+    """
+    return {PurePosixPath(name).name: data for name, data in _json_files(source, [])}
+
+
 def _read(source: Path) -> GroundTruth:
     documents: dict[str, ground_truth_json.Document] = {}
     found: list[str] = []

@@ -84,9 +84,13 @@ def require_usable(protocol: Protocol) -> None:
 
 def _requirements(protocol: Protocol) -> Iterator[tuple[bool, str]]:
     """Yield what must hold, and what to say where it does not; each may rely on the ones before it."""
+    rules = (protocol.name, protocol.version)
+    published = [(one.name, one.version) for one in PROTOCOLS.values()]
+    names = ", ".join(map(":".join, published))
+    yield rules in published, f"there are no rules called {':'.join(rules)}, only {names}; change parameters alone."
     yield isinstance(protocol.labels, tuple), "labels must be a tuple of names of classes, like ('car', 'bus')."
     yield len(protocol.labels) > 0, "labels must name at least one class."
-    yield 0 <= protocol.min_iou < math.inf, "min_iou must be a number of 0 or more."
+    yield 0 <= protocol.min_iou <= 1, "min_iou must be from 0 to 1, as an IoU is."
     for name in ("max_depth_m", "depth_step_m", "score_steps"):
         yield isinstance(getattr(protocol, name), int), f"{name} must be a whole number."
     yield protocol.max_depth_m >= 1, "max_depth_m must be at least 1 metre."

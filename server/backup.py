@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from evaluator.errors import DataError
@@ -37,6 +38,8 @@ TABLES = [table for table in Base.metadata.sorted_tables if table.name != "shard
 
 Shards belong to attempts that end with their worker: where the backup is restored, the next attempt makes others.
 """
+_ROWS_AT_ONCE = 500
+"""Rows held in memory; those of scores are large."""
 
 
 class BackupError(DataError):
@@ -96,14 +99,13 @@ def restore(services: Services, path: Path) -> dict[str, int]:
         Conflict: The installation is not empty.
     """
     manifest = _read_manifest(path)
-    for sha256 in (row["sha256"] for row in _rows(path, "blob")):
-        _restore_blob(services, path / "blobs" / sha256, sha256)
+    with services.snapshot() as session:
+        _check_fits(session, manifest)  # before what takes long, and once more below
+    for row in _rows(path, Blob.__tablename__):
+        sha256 = row.get("sha256")
+        _restore_blob(services, path / "blobs" / str(sha256), str(sha256))
     with services.transaction() as session:
-        if session.scalar(sa.select(sa.func.count()).select_from(User)):
-            raise Conflict("the installation has users already; restore into an empty one")
-        if _revision(session) != manifest["revision"]:
-            message = f"the backup is of schema {manifest['revision']}, the database of {_revision(session)}"
-            raise BackupError(f"{message}; restore with the program version that took it, then migrate")
+        _check_fits(session, manifest)
         with _guards_lifted(session):
             counts = {table.name: _read_table(session, table, path) for table in TABLES}
             _tie_phases(session, path)
@@ -111,6 +113,15 @@ def restore(services: Services, path: Path) -> dict[str, int]:
             raise BackupError("the backup has other numbers of rows than its manifest says; it is damaged")
         _advance_sequences(session)
     return counts
+
+
+def _check_fits(session: Session, manifest: dict[str, Any]) -> None:
+    """Refuse an installation that is in use or of another schema."""
+    if session.scalar(sa.select(sa.func.count()).select_from(User)):
+        raise Conflict("the installation has users already; restore into an empty one")
+    if _revision(session) != manifest["revision"]:
+        message = f"the backup is of schema {manifest['revision']}, the database of {_revision(session)}"
+        raise BackupError(f"{message}; restore with the program version that took it, then migrate")
 
 
 def _revision(session: Session) -> str:
@@ -121,7 +132,8 @@ def _revision(session: Session) -> str:
 def _write_table(session: Session, table: sa.Table, folder: Path) -> int:
     count = 0
     with (folder / f"{table.name}.jsonl").open("w", encoding="utf-8") as stream:
-        for row in session.execute(sa.select(table).order_by(*table.primary_key)).mappings():
+        query = sa.select(table).order_by(*table.primary_key).execution_options(yield_per=_ROWS_AT_ONCE)
+        for row in session.execute(query).mappings():
             values = {name: _to_json(value) for name, value in row.items()}
             stream.write(json.dumps(values, ensure_ascii=False) + "\n")
             count += 1
@@ -151,16 +163,29 @@ def _copy_blob(services: Services, sha256: str, target: Path) -> None:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
-        manifest: dict[str, Any] = json.loads((path / MANIFEST).read_text())
+        manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise BackupError(f"{path} holds no backup: {MANIFEST} cannot be read") from error
+    if not isinstance(manifest, dict) or not {"revision", "rows"} <= manifest.keys():
+        raise BackupError(f"{path} holds no backup: {MANIFEST} does not say of which schema and how many rows it is")
     return manifest
 
 
 def _rows(path: Path, name: str) -> Iterator[dict[str, Any]]:
-    with (path / f"{name}.jsonl").open(encoding="utf-8") as stream:
-        for line in stream:
-            yield json.loads(line)
+    """Read a table's rows; raises BackupError where there are none to be read."""
+    file = path / f"{name}.jsonl"
+    number = 0
+    try:
+        with file.open("rb") as stream:
+            for number, line in enumerate(stream, start=1):
+                row = json.loads(line)
+                if not isinstance(row, dict):
+                    raise BackupError(f"the backup is damaged: {file.name}, line {number} is no row")
+                yield row
+    except OSError as error:
+        raise BackupError(f"the backup is damaged: {file.name} cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise BackupError(f"the backup is damaged: {file.name}, line {number} is no JSON") from error
 
 
 def _restore_blob(services: Services, source: Path, sha256: str) -> None:
@@ -177,17 +202,20 @@ def _read_table(session: Session, table: sa.Table, path: Path) -> int:
     readers = {column.name: _reader(column) for column in table.columns}
     count = 0
     for row in _rows(path, table.name):
-        # A value that is not given becomes NULL; given as None it would become the JSON value null in a JSON column.
-        values = {name: readers[name](value) for name, value in row.items() if value is not None} | later
-        session.execute(sa.insert(table).values(**values))
         count += 1
+        try:
+            # A value that is not given becomes NULL; given as None it would become the JSON value null in a JSON column.
+            values = {name: readers[name](value) for name, value in row.items() if value is not None} | later
+            session.execute(sa.insert(table).values(**values))
+        except (KeyError, TypeError, ValueError, IntegrityError) as error:
+            raise BackupError(f"the backup is damaged: {table.name}.jsonl, line {count}: {error!r}") from error
     return count
 
 
 def _tie_phases(session: Session, path: Path) -> None:
     table = Phase.__table__
     for row in _rows(path, Phase.__tablename__):
-        ground_truth_id = row["ground_truth_id"]
+        ground_truth_id = row.get("ground_truth_id")
         session.execute(sa.update(Phase).where(table.c.id == row["id"]).values(ground_truth_id=ground_truth_id))
 
 

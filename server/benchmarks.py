@@ -10,7 +10,7 @@ import msgspec
 import sqlalchemy as sa
 from sqlalchemy.orm import Session, joinedload
 
-from evaluator.ground_truth import read_ground_truth
+from evaluator.ground_truth import ground_truth_files, read_ground_truth
 from evaluator.protocol import CITYSCAPES3D, PROTOCOLS
 from server import audit, database
 from server.accounts import checked_slug, checked_text
@@ -87,8 +87,8 @@ def create_phase(
     if protocol not in PROTOCOLS:
         message = f"there is no protocol {protocol!r}; choose one of {', '.join(PROTOCOLS)}"
         raise InvalidField(message)
-    if min(submissions_per_day, rejections_per_day) < 0 or max_attempts < 1:
-        raise InvalidField("submissions_per_day and rejections_per_day must not be negative, max_attempts at least 1")
+    if submissions_per_day < 0 or min(rejections_per_day, max_attempts) < 1:
+        raise InvalidField("submissions_per_day must not be negative, rejections_per_day and max_attempts at least 1")
     phase = Phase(
         benchmark=benchmark,
         slug=slug,
@@ -135,7 +135,8 @@ def find_benchmark(session: Session, slug: str) -> Benchmark:
     Raises:
         NotFound: There is none.
     """
-    query = sa.select(Benchmark).where(Benchmark.slug == slug).options(joinedload(Benchmark.phases))
+    phases = joinedload(Benchmark.phases).joinedload(Phase.ground_truth)
+    query = sa.select(Benchmark).where(Benchmark.slug == slug).options(phases)
     benchmark = session.scalars(query).unique().one_or_none()
     if benchmark is None:
         message = f"there is no benchmark {slug[:80]!r}; `GET /api/v1/benchmarks` lists them"
@@ -145,7 +146,8 @@ def find_benchmark(session: Session, slug: str) -> Benchmark:
 
 def list_benchmarks(session: Session) -> list[Benchmark]:
     """List every benchmark with its phases, oldest first."""
-    query = sa.select(Benchmark).options(joinedload(Benchmark.phases)).order_by(Benchmark.id)
+    phases = joinedload(Benchmark.phases).joinedload(Phase.ground_truth)
+    query = sa.select(Benchmark).options(phases).order_by(Benchmark.id)
     return list(session.scalars(query).unique())
 
 
@@ -233,6 +235,7 @@ def add_ground_truth(
         raise Conflict(message)
     for sha256, size_bytes in prepared.sizes_bytes.items():
         record_blob(session, blobs, sha256, size_bytes)
+    _lock(session, phase)  # so that two imports at once get two numbers
     latest = session.scalar(
         sa.select(sa.func.max(GroundTruthVersion.version)).where(GroundTruthVersion.phase_id == phase.id)
     )
@@ -310,9 +313,14 @@ def enforce_ground_truth(session: Session, phase: Phase, version: GroundTruthVer
     session.flush()
 
 
+def _lock(session: Session, phase: Phase) -> None:
+    """Let nobody else publish in the phase or change its ground truth until the transaction ends."""
+    session.execute(sa.select(Phase.id).where(Phase.id == phase.id).with_for_update(key_share=True))
+
+
 def _published_without_score(session: Session, phase: Phase, version: GroundTruthVersion) -> int:
     """Count the published submissions that would lose their row; nobody publishes in the phase meanwhile."""
-    session.execute(sa.select(Phase.id).where(Phase.id == phase.id).with_for_update(key_share=True))
+    _lock(session, phase)
     scored = sa.exists().where(
         Score.submission_id == Submission.id,
         Score.ground_truth_id == version.id,
@@ -334,27 +342,12 @@ def _is_rescored(session: Session, phase: Phase) -> bool:
 
 
 def canonical_zip(source: Path) -> bytes:
-    """Pack the JSON files of a folder or zip so that equal files give equal bytes: sorted, dateless, normalised names.
-
-    Two files of one name in different folders cannot both be ground truth; `read_ground_truth` refused them before.
-    """
+    """Pack the files of ground truth that was read so that equal files give equal bytes: sorted, dateless, base names."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-        for name, data in sorted(_json_files(source).items()):
+        for name, data in sorted(ground_truth_files(source).items()):
             member = zipfile.ZipInfo(name, ZIP_EPOCH)
             member.compress_type = zipfile.ZIP_DEFLATED
             member.external_attr = 0o644 << 16
             archive.writestr(member, data)
     return buffer.getvalue()
-
-
-def _json_files(source: Path) -> dict[str, bytes]:
-    """Read every JSON file of a folder or zip, by base name."""
-    if source.is_dir():
-        return {path.name: path.read_bytes() for path in source.rglob("*.json") if path.is_file()}
-    with zipfile.ZipFile(source) as archive:
-        return {
-            Path(member.filename).name: archive.read(member)
-            for member in archive.infolist()
-            if member.filename.endswith(".json")
-        }

@@ -10,6 +10,7 @@ import html
 import re
 import uuid
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -145,30 +146,25 @@ class ChartStore:
 
         On a full disk they are drawn, and drawn again at the next view: no page fails for want of a copy.
         """
-        kept = self._recent(scores_sha256)
-        if kept is not None:
-            return kept
+        with suppress(FileNotFoundError):  # which the cache does not keep
+            return self._recent(scores_sha256)
         drawn = draw_all(scores)
         try:
             self._keep(scores_sha256, drawn)
         except OSError as error:
             log.warning("charts_not_kept", error=repr(error))
-        self._recent.cache_clear()
         return drawn
 
     def _path(self, scores_sha256: str, name: str) -> Path:
         key = hashlib.sha256(f"{CHART_VERSION}:{scores_sha256}".encode()).hexdigest()
         return self._folder / f"{key[:32]}-{name}.svg"
 
-    def _load(self, scores_sha256: str) -> tuple[Chart, ...] | None:
+    def _load(self, scores_sha256: str) -> tuple[Chart, ...]:
+        """Read the charts; raises FileNotFoundError unless all were kept."""
         titles = [*CURVE_TITLES.items(), ("precision_recall", PRECISION_RECALL_TITLE)]
-        try:
-            return tuple(
-                Chart(name, title, self._path(scores_sha256, name).read_text(encoding="utf-8"))
-                for name, title in titles
-            )
-        except FileNotFoundError:
-            return None
+        return tuple(
+            Chart(name, title, self._path(scores_sha256, name).read_text(encoding="utf-8")) for name, title in titles
+        )
 
     def _keep(self, scores_sha256: str, charts: Iterable[Chart]) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)

@@ -124,15 +124,15 @@ class QuotaExceeded(ServerError):
     code = "quota_exceeded"
     status = 429
 
-    def __init__(self, message: str, *, retry_after_s: int) -> None:
+    def __init__(self, message: str, *, retry_after_s: int | None) -> None:
         """Keep when asking again may help.
 
         Args:
             message: What is used up and when there will be more.
-            retry_after_s: Whole seconds until then, at least 1.
+            retry_after_s: Whole seconds until then, at least 1; None when waiting does not help.
         """
         super().__init__(message)
-        self.retry_after_s = max(1, retry_after_s)
+        self.retry_after_s = retry_after_s
 
 
 class TooManyRejections(QuotaExceeded):

@@ -40,6 +40,8 @@ def _delete(services: Services, batch: Sequence[str]) -> int:
             session.execute(sa.text("LOCK TABLE blob, shard IN SHARE ROW EXCLUSIVE MODE"))
         orphans = set(batch) - known_digests(session, batch)
         for sha256 in orphans:
+            # A slow store may take longer than the database lets a transaction wait; with it the lock would be gone.
+            session.execute(sa.select(1))
             services.blobs.delete(sha256)
     return len(orphans)
 

@@ -47,7 +47,12 @@ def delete_old(folder: Path, *, grace_s: float, pattern: str = "*") -> int:
     """
     deadline = datetime.now(UTC).timestamp() - grace_s
     stale = [path for path in folder.glob(pattern) if _changed_at(path) < deadline]
-    return sum(_delete_folder(path) if path.is_dir() else delete_unless_held(path) for path in stale)
+    # Looked at once more: what is read from may have been touched since it was listed.
+    return sum(
+        _delete_folder(path) if path.is_dir() else delete_unless_held(path)
+        for path in stale
+        if _changed_at(path) < deadline
+    )
 
 
 def _delete_folder(path: Path) -> bool:

@@ -5,9 +5,9 @@ is refunded. A refunded reservation never counted, so it is the reservations wit
 submission that failed and was re-queued by a maintainer is free: its refund stands.
 """
 
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from math import ceil
-from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
@@ -30,7 +30,7 @@ def lock_team(session: Session, team_id: int) -> None:
 
 def used(session: Session, *, team_id: int, phase: Phase, at: datetime) -> int:
     """Count what the team used in the 24 hours before `at`, less what maintainers granted in that time."""
-    return len(_counted_reservations(session, team_id, phase.id, at)) + _granted(session, team_id, phase.id, at)
+    return sum(amount for _, amount in _counted(session, team_id, phase.id, at))
 
 
 def remaining(session: Session, *, team_id: int, phase: Phase, at: datetime) -> int:
@@ -47,7 +47,12 @@ def check(session: Session, *, team: Team, phase: Phase) -> None:
     """
     at = database.now(session)
     if not remaining(session, team_id=team.id, phase=phase, at=at):
-        wait_s = _until_next(_counted_reservations(session, team.id, phase.id, at), at)
+        wait_s = _until_fewer_than(phase.submissions_per_day, _counted(session, team.id, phase.id, at), at)
+        if wait_s is None:
+            message = (
+                f"{phase.slug} takes what maintainers grant alone, and team {team.slug} has no grant left; ask them"
+            )
+            raise QuotaExceeded(message, retry_after_s=None)
         message = (
             f"team {team.slug} has used its {phase.submissions_per_day} submissions to {phase.slug} for 24 hours;"
             f" the next one is possible in {wait_s} s"
@@ -55,7 +60,7 @@ def check(session: Session, *, team: Team, phase: Phase) -> None:
         raise QuotaExceeded(message, retry_after_s=wait_s)
     rejected = _rejections(session, team.id, phase.id, at)
     if len(rejected) >= phase.rejections_per_day:
-        wait_s = _until_next(rejected, at)
+        wait_s = _until_fewer_than(phase.rejections_per_day, [(time, 1) for time in rejected], at)
         message = (
             f"{len(rejected)} uploads of team {team.slug} to {phase.slug} were rejected or cancelled within 24 hours;"
             f" check files with `cs3d validate` before sending them; the next upload is possible in {wait_s} s"
@@ -121,50 +126,42 @@ def _append(session: Session, submission: Submission, kind: QuotaKind, reason: s
     session.flush()
 
 
-def _counted_reservations(session: Session, team_id: int, phase_id: int, at: datetime) -> list[datetime]:
-    """List when the reservations that count were made, oldest first."""
+def _counted(session: Session, team_id: int, phase_id: int, at: datetime) -> list[tuple[datetime, int]]:
+    """List what counts: when, and 1 for a reservation without a refund, less than 0 for a grant."""
     refunded = sa.select(QuotaEntry.submission_id).where(
         QuotaEntry.team_id == team_id, QuotaEntry.phase_id == phase_id, QuotaEntry.kind == QuotaKind.REFUND
     )
-    query = (
-        _entries(sa.select(QuotaEntry.created_at), team_id, phase_id, at)
-        .where(QuotaEntry.kind == QuotaKind.RESERVE, QuotaEntry.submission_id.not_in(refunded))
-        .order_by(QuotaEntry.created_at)
+    kept = sa.and_(QuotaEntry.kind == QuotaKind.RESERVE, QuotaEntry.submission_id.not_in(refunded))
+    query = sa.select(QuotaEntry.created_at, QuotaEntry.amount).where(
+        QuotaEntry.team_id == team_id,
+        QuotaEntry.phase_id == phase_id,
+        QuotaEntry.created_at > at - WINDOW,
+        sa.or_(kept, QuotaEntry.kind == QuotaKind.GRANT),
     )
-    return list(session.scalars(query))
-
-
-def _granted(session: Session, team_id: int, phase_id: int, at: datetime) -> int:
-    """Sum the grants: zero or negative."""
-    query = _entries(sa.select(sa.func.coalesce(sa.func.sum(QuotaEntry.amount), 0)), team_id, phase_id, at)
-    return int(session.scalar(query.where(QuotaEntry.kind == QuotaKind.GRANT)) or 0)
-
-
-def _entries(query: sa.Select[Any], team_id: int, phase_id: int, at: datetime) -> sa.Select[Any]:
-    return query.where(
-        QuotaEntry.team_id == team_id, QuotaEntry.phase_id == phase_id, QuotaEntry.created_at > at - WINDOW
-    )
+    return [(row.created_at, row.amount) for row in session.execute(query)]
 
 
 def _rejections(session: Session, team_id: int, phase_id: int, at: datetime) -> list[datetime]:
-    """List when the team's uploads were rejected or cancelled, oldest first.
+    """List when the team's uploads were rejected or cancelled.
 
     Neither costs quota, but their bytes are kept: without a bound, sending and cancelling would fill the disk.
     """
-    query = (
-        sa.select(Submission.state_changed_at)
-        .where(
-            Submission.team_id == team_id,
-            Submission.phase_id == phase_id,
-            Submission.state.in_((SubmissionState.REJECTED, SubmissionState.CANCELLED)),
-            Submission.state_changed_at > at - WINDOW,
-        )
-        .order_by(Submission.state_changed_at)
+    query = sa.select(Submission.state_changed_at).where(
+        Submission.team_id == team_id,
+        Submission.phase_id == phase_id,
+        Submission.state.in_((SubmissionState.REJECTED, SubmissionState.CANCELLED)),
+        Submission.state_changed_at > at - WINDOW,
     )
     return list(session.scalars(query))
 
 
-def _until_next(times: list[datetime], at: datetime) -> int:
-    """Count the seconds until the oldest of `times` is 24 hours ago; a whole day when there is none."""
-    oldest = times[0] if times else at
-    return max(1, ceil((oldest + WINDOW - at).total_seconds()))
+def _until_fewer_than(cap: int, counted: Sequence[tuple[datetime, int]], at: datetime) -> int | None:
+    """Count the seconds until so much of `counted`, times and amounts, is 24 hours old that the rest is below the cap.
+
+    Returns:
+        At least 1; None when that never happens.
+    """
+    for end in sorted(time + WINDOW for time, _ in counted):
+        if sum(amount for time, amount in counted if time + WINDOW > end) < cap:
+            return max(1, ceil((end - at).total_seconds()))
+    return None

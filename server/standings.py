@@ -7,6 +7,7 @@ set of resampled scores is kept in memory and the page of a leaderboard reads no
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count, product
 from string import ascii_lowercase
 from typing import ClassVar
 
@@ -37,8 +38,8 @@ class Standing:
     """Of mDS, at 95 %."""
     ranks: tuple[int, int] | None = None
     """Best and worst rank."""
-    groups: str = ""
-    """Letters: rows that share one cannot be told apart. "" for a row that differs from all others."""
+    groups: tuple[str, ...] = ()
+    """Letters: rows that share one cannot be told apart; none for a row that differs from all others."""
 
 
 UNKNOWN = Standing()
@@ -103,11 +104,11 @@ def standings_from(
     ids = list(fixed)
     standings = Standings.of(replicates[one].mds if one in replicates else fixed[one] for one in ids)
     ranks = standings.rank_intervals()
-    letters = dict.fromkeys(ids, "")
+    letters: dict[uuid.UUID, tuple[str, ...]] = dict.fromkeys(ids, ())
     known = [place for place, one in enumerate(ids) if one in replicates]
-    for letter, group in zip(_letters(), standings.groups(known), strict=False):
+    for letter, group in zip(_letters(), standings.groups(known)):  # noqa: B905 - there are always more letters
         for place in group:
-            letters[ids[place]] += letter
+            letters[ids[place]] += (letter,)
     return {
         one: Standing(interval=replicates[one].intervals[MDS], ranks=ranks[place], groups=letters[one])
         if one in replicates
@@ -146,6 +147,6 @@ def class_comparison(
 
 
 def _letters() -> Iterator[str]:
-    """Yield a, b, ... z, A, ... Z: more overlapping groups than anybody reads."""
-    yield from ascii_lowercase
-    yield from ascii_lowercase.upper()
+    """Yield a, b, ... z, aa, ab, ... zz, aaa, ... without end."""
+    for length in count(1):
+        yield from map("".join, product(ascii_lowercase, repeat=length))

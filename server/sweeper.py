@@ -109,7 +109,8 @@ def _waiting(session: Session, condition: sa.ColumnElement[bool]) -> list[uuid.U
 
 def _held_past(session: Session, deadline: datetime) -> list[uuid.UUID]:
     """List the submissions whose lease ran out before `deadline`."""
-    query = sa.select(Submission.id).where(Submission.lease_expires_at < deadline)
+    living = [state for state in SubmissionState if not state.terminal]  # named, as the index begins with the state
+    query = sa.select(Submission.id).where(Submission.state.in_(living), Submission.lease_expires_at < deadline)
     return list(session.scalars(query.order_by(Submission.lease_expires_at)))
 
 

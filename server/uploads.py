@@ -8,7 +8,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
-from server import database, leftovers
+from server import database, leftovers, quota
 from server.errors import NotFound, QuotaExceeded
 from server.models import Team, Upload, User
 
@@ -32,6 +32,7 @@ def create(
     Raises:
         QuotaExceeded: The team has too many unfinished ones.
     """
+    quota.lock_team(session, team.id)  # so that uploads begun at once are counted one after the other
     at = database.now(session)
     unfinished = sa.select(sa.func.count()).where(
         Upload.team_id == team.id, Upload.submission_id.is_(None), Upload.expires_at > at

@@ -62,7 +62,7 @@ def match_shard(
             taken = shards.claim(
                 session, submission_id, attempt, number, worker=worker, lease_s=services.settings.lease_s
             )
-    except Unavailable as error:  # the submission's holder does the shard itself
+    except (Unavailable, StorageFull) as error:  # the submission's holder does the shard itself
         log.warning("not_claimed", submission_id=str(submission_id), shard=number, error=str(error))
         return
     if taken is None:
@@ -92,11 +92,11 @@ def carry_out(work: "Work", sandbox: Sandbox) -> None:
 
 
 def _claim(services: Services, submission_id: uuid.UUID, worker: str) -> Claim | None:
-    """Take the submission; a database that is away leaves it to the sweeper's next message."""
+    """Take the submission; a database that is away or full leaves it to the sweeper's next message."""
     try:
         with services.transaction() as session:
             held = lifecycle.claim(session, submission_id, worker=worker, lease_s=services.settings.lease_s)
-    except Unavailable as error:
+    except (Unavailable, StorageFull) as error:
         log.warning("not_claimed", submission_id=str(submission_id), error=str(error))
         return None
     if held is None:

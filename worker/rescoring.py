@@ -10,7 +10,7 @@ import structlog
 
 from evaluator.report import Report
 from server import rescoring_items
-from server.errors import Unavailable
+from server.errors import StorageFull, Unavailable
 from server.services import Services
 from worker.attempt import Attempt, Record
 from worker.evaluation import carry_out
@@ -24,7 +24,7 @@ def evaluate_item(services: Services, sandbox: Sandbox, item_id: int, *, worker:
     try:
         with services.transaction() as session:
             held = rescoring_items.claim(session, item_id, worker=worker, lease_s=services.settings.lease_s)
-    except Unavailable as error:
+    except (Unavailable, StorageFull) as error:
         log.warning("not_claimed", item_id=item_id, error=str(error))
         return
     if held is None:

@@ -142,7 +142,7 @@ class LeaderboardRow(msgspec.Struct, frozen=True, kw_only=True):
     """95 % confidence interval of mDS over the images; null where too little is known for one."""
     rank_interval: tuple[int, int] | None
     """Best and worst rank at 95 % confidence; null for scores made before this was known."""
-    groups: str
+    groups: tuple[str, ...]
     """Letters: methods that share one cannot be told apart at 95 % confidence."""
     map: float | None
     mbevcd: float | None

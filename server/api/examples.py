@@ -50,7 +50,7 @@ LEADERBOARD: dict[str, Any] = {
             "mds": 0.425,
             "mds_interval": [0.412, 0.439],
             "rank_interval": [1, 2],
-            "groups": "a",
+            "groups": ["a"],
             "map": 0.5,
             "mbevcd": 0.9,
             "myaw_sim": 0.8,

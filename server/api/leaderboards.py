@@ -139,7 +139,7 @@ def csv_of(document: documents.LeaderboardDocument) -> bytes:
         facts = [_inert(str(value)) if value is not None else "" for value in map(row.__getattribute__, _ROW)]
         means = [row.__getattribute__(name) for name in _MEANS]
         classes = [getattr(row.classes[label], metric) for label in labels for metric in metrics]
-        standing = [*(row.mds_interval or ("", "")), *(row.rank_interval or ("", "")), row.groups]
+        standing = [*(row.mds_interval or ("", "")), *(row.rank_interval or ("", "")), " ".join(row.groups)]
         writer.writerow([*facts, *means, *classes, *standing])
     return text.getvalue().encode()
 

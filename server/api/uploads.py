@@ -97,10 +97,8 @@ def begin_upload(
     order = order_of(fields)
     announced = announced_sha256(request.headers)
     web.gate.check_room(length)
-    folder = uploads.folder_of(web.services.settings.data_dir)
 
     def work(session: Session, identity: Identity) -> Response:
-        uploads.sweep(session, folder)
         admission = receiving.admit(session, identity, order)
         upload = uploads.create(
             session,

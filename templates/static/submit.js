@@ -43,9 +43,14 @@ function readProblem(request) {
   try {
     return JSON.parse(request.responseText);
   } catch {
-    return { title: "The upload did not arrive", detail: "The connection broke; send it again." };
+    return { title: "The server did not take the upload", detail: `It answered with status ${request.status}; send it again.` };
   }
 }
+
+const broken = { title: "No answer came", detail: "The connection broke; send it again. What did arrive is not made a second time." };
+
+// Kept until an answer comes or the form is changed: sending again after a break makes no second submission.
+let key = null;
 
 function send() {
   const fields = new FormData(form);
@@ -64,19 +69,23 @@ function send() {
   request.open("POST", `/api/v1/submissions?${query}`);
   request.setRequestHeader("Content-Type", "application/zip");
   request.setRequestHeader("X-CSRF-Token", fields.get("csrf"));
-  request.setRequestHeader("Idempotency-Key", crypto.randomUUID ? crypto.randomUUID() : String(Math.random()));
+  key ??= crypto.randomUUID ? crypto.randomUUID() : String(Math.random());
+  request.setRequestHeader("Idempotency-Key", key);
   request.upload.addEventListener("progress", (event) => showProgress(event.loaded, event.total));
-  request.addEventListener("loadend", () => {
+  request.addEventListener("load", () => {
+    key = null;
     if (request.status === 202) {
       window.location.assign(JSON.parse(request.responseText).links.page);
       return;
     }
     setBusy(false);
-    if (request.readyState === XMLHttpRequest.DONE && request.getResponseHeader !== null) showProblem(readProblem(request));
+    showProblem(readProblem(request));
   });
-  request.addEventListener("abort", () => {
-    problem.hidden = true;
+  request.addEventListener("error", () => {
+    setBusy(false);
+    showProblem(broken);
   });
+  request.addEventListener("abort", () => setBusy(false));
   stop.addEventListener("click", () => request.abort(), { once: true });
   problem.hidden = true;
   setBusy(true);
@@ -85,6 +94,9 @@ function send() {
 }
 
 if (form) {
+  form.addEventListener("input", () => {
+    key = null;
+  });
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     send();

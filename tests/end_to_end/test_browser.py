@@ -1,11 +1,12 @@
 """A researcher at a browser: log in, upload, see it scored, publish, see it on the leaderboard. Real server, real worker."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Route
 
 from server import accounts
 from server.services import Services
@@ -78,6 +79,37 @@ def test_upload_to_leaderboard(stage: Stage) -> None:
         assert row.inner_text().startswith("1")
         assert "60.91" in row.inner_text()
         visitor.screenshot("leaderboard")
+
+
+def test_an_upload_that_stops_or_breaks_is_sent_again(stage: Stage) -> None:
+    """Who stops an upload reads of no fault, who loses the connection does; sending again makes no second submission."""
+    keys: list[str] = []
+
+    def meet(answer: Callable[[Route], None]) -> None:
+        def noted(route: Route) -> None:
+            keys.append(route.request.headers["idempotency-key"])
+            answer(route)
+
+        visitor.page.unroute_all()
+        visitor.page.route("**/api/v1/submissions?*", noted)
+
+    with browsing(stage.site.url) as visitor:
+        visitor.log_in(EMAIL, PASSWORD)
+        alert, send = visitor.page.locator("#problem"), visitor.page.get_by_role("button", name="Send")
+        meet(lambda _: None)  # never answered
+        upload(visitor, stage.archive, "mono")
+        visitor.page.get_by_role("button", name="Stop").click()
+        visitor.page.get_by_role("button", name="Stop").wait_for(state="hidden")
+        assert alert.is_hidden()
+        meet(lambda route: route.abort())
+        send.click()
+        alert.get_by_text("The connection broke; send it again").wait_for()
+        meet(lambda route: route.continue_())
+        send.click()
+        visitor.page.wait_for_url("**/submissions/*")
+        assert len(keys) == 3
+        assert len(set(keys)) == 1
+        visitor.complaints = [text for text in visitor.complaints if "ERR_FAILED" not in text]
 
 
 def test_everything_works_without_javascript(stage: Stage) -> None:

@@ -31,7 +31,7 @@ def _arguments(case: Path) -> list[str]:
 @pytest.mark.parametrize("packed", [False, True], ids=["folder", "zip"])
 @pytest.mark.parametrize("lenient", [False, True], ids=["strict", "lenient"])
 def test_recorded_cases_come_out_of_the_command(case: Path, packed: bool, lenient: bool, tmp_path: Path) -> None:  # noqa: FBT001 - pytest passes parameters by name
-    """Folders and zips, strict and lenient: `--format cityscapes -o` writes the reference's results.json."""
+    """Folders and zips, strict and lenient: `--format cityscapes -o` writes the reference's results.json, and a signature."""
     gt, predictions = case / "gt", case / "pred"
     if packed:
         gt, predictions = (Path(shutil.make_archive(str(tmp_path / p.name), "zip", p)) for p in (gt, predictions))
@@ -43,7 +43,9 @@ def test_recorded_cases_come_out_of_the_command(case: Path, packed: bool, lenien
 
     assert status == 0
     expected = json.loads((case / "expected.json").read_text())
-    assert list(differences(json.loads(output.read_text()), expected)) == []
+    found = json.loads(output.read_text())
+    assert found.pop("signature").startswith("cityscapes3d:1")
+    assert list(differences(found, expected)) == []
 
 
 def test_the_table_shows_every_class_in_percent_and_the_signature(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,6 +5,7 @@ import io
 import uuid
 from collections.abc import Callable
 from datetime import UTC, datetime
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -49,10 +50,25 @@ def test_methods_that_trade_places_share_ranks_and_a_letter() -> None:
     found = standings_from(rows, {row.submission.id: part for row, part in zip(rows, kept, strict=True)})
 
     assert [found[row.submission.id] for row in rows] == [
-        Standing(interval=INTERVAL, ranks=(1, 2), groups="a"),
-        Standing(interval=INTERVAL, ranks=(1, 2), groups="a"),
-        Standing(interval=INTERVAL, ranks=(3, 3), groups=""),
+        Standing(interval=INTERVAL, ranks=(1, 2), groups=("a",)),
+        Standing(interval=INTERVAL, ranks=(1, 2), groups=("a",)),
+        Standing(interval=INTERVAL, ranks=(3, 3), groups=()),
     ]
+
+
+def test_every_group_has_a_letter_however_many_there_are() -> None:
+    """Of a hundred methods each trades places with its neighbours alone, with either on half of the resamples."""
+    rows = [_row(0.9 - 0.001 * place) for place in range(100)]
+    kept = {
+        row.submission.id: _replicates(-(place ^ 1), -(place + 1 if place % 2 else max(place - 1, 0)))
+        for place, row in enumerate(rows)
+    }
+
+    found = [standings_from(rows, kept)[row.submission.id].groups for row in rows]
+
+    assert all(set(one) & set(other) for one, other in pairwise(found))
+    assert not any(set(found[place]) & set(found[place + 2]) for place in range(98))
+    assert {"a", "z", "aa", "cu"} <= set().union(*found)
 
 
 def test_a_score_without_replicates_keeps_its_place_and_has_no_standing() -> None:
@@ -106,8 +122,8 @@ def test_too_few_images_say_nothing_of_the_ranking(site: Site, archive: bytes, s
         lines = list(csv.DictReader(io.StringIO(visitor.get(BOARD, params={"format": "csv"}).text)))
         page = visitor.get("/benchmarks/cs3d/test").text
     assert [(row["rank"], row["mds_interval"], row["rank_interval"], row["groups"]) for row in rows] == [
-        (1, None, None, ""),
-        (2, None, None, ""),
+        (1, None, None, []),
+        (2, None, None, []),
     ]
     columns = ("mds_lower", "mds_upper", "rank_best", "rank_worst", "groups")
     assert [[line[name] for name in columns] for line in lines] == [[""] * 5] * 2

@@ -1,14 +1,18 @@
 """Backup and restore, within a shape and across the two."""
 
+import json
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
 from server import accounts, database
 from server.backup import BackupError, backup, restore
 from server.checker import check
 from server.errors import Conflict
-from server.models import SubmissionState
+from server.models import Benchmark, SubmissionState
 from server.services import Services
 from server.settings import Settings
 from tests.services.installation import Installation
@@ -76,4 +80,59 @@ def test_a_damaged_backup_is_refused(installation: Installation, tmp_path: Path)
         restore(services, tmp_path / "backup")
     with pytest.raises(BackupError, match="holds no backup"):
         restore(services, tmp_path)
+    services.close()
+
+
+def _cut(folder: Path) -> None:
+    file = folder / "user_account.jsonl"
+    file.write_bytes(file.read_bytes()[:-10])
+
+
+def _without(name: str) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        file = folder / "user_account.jsonl"
+        rows = [json.loads(line) for line in file.read_text().splitlines()]
+        file.write_text("".join(json.dumps({key: row[key] for key in row if key != name}) + "\n" for row in rows))
+
+    return damage
+
+
+@pytest.mark.parametrize("shape", ["embedded"])
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda folder: (folder / "manifest.json").write_text("{}"), "does not say of which schema"),
+        (lambda folder: (folder / "manifest.json").write_text("[]"), "does not say of which schema"),
+        (lambda folder: (folder / "phase.jsonl").unlink(), "phase.jsonl cannot be read"),
+        (lambda folder: (folder / "blob.jsonl").write_text("[]\n"), "blob.jsonl, line 1 is no row"),
+        (lambda folder: (folder / "blob.jsonl").write_bytes(b"\xff\n"), "blob.jsonl, line 1 is no JSON"),
+        (lambda folder: (folder / "user_account.jsonl").write_text(""), "damaged"),
+        (_cut, "user_account.jsonl, line 1 is no JSON"),
+        (_without("email"), "user_account.jsonl, line 1: IntegrityError"),
+    ],
+)
+def test_every_damage_of_a_backup_is_said(
+    installation: Installation, tmp_path: Path, damage: Callable[[Path], object], said: str
+) -> None:
+    """Whatever is missing, cut or changed is one located error, and nothing is written."""
+    backup(installation.services, tmp_path / "backup")
+    damage(tmp_path / "backup")
+    services = _empty(tmp_path / "other")
+    with pytest.raises(BackupError, match=re.escape(said)):
+        restore(services, tmp_path / "backup")
+    with services.snapshot() as session:
+        assert session.scalar(sa.select(sa.func.count()).select_from(Benchmark)) == 0
+    services.close()
+
+
+@pytest.mark.parametrize("shape", ["embedded"])
+def test_an_installation_in_use_is_refused_before_blobs_are_copied(installation: Installation, tmp_path: Path) -> None:
+    """Whether the installation fits is asked first."""
+    backup(installation.services, tmp_path / "backup")
+    services = _empty(tmp_path / "other")
+    with services.transaction() as session:
+        accounts.create_user(session, email="bob@example.org", name="Bob", password=None, actor="admin:t")
+    with pytest.raises(Conflict, match="has users already"):
+        restore(services, tmp_path / "backup")
+    assert list(services.blobs.stored()) == []
     services.close()

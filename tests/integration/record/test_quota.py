@@ -2,6 +2,9 @@
 
 import threading
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
 
 import pytest
 
@@ -42,6 +45,7 @@ def test_the_quota_is_refused_with_the_time_to_wait(installation: Installation) 
     installation.submit(enqueue=False)
     with pytest.raises(QuotaExceeded, match="2 submissions") as caught:
         installation.submit(enqueue=False)
+    assert caught.value.retry_after_s is not None
     assert 86000 < caught.value.retry_after_s <= 86400
     assert _used(installation) == 2
 
@@ -71,6 +75,43 @@ def test_rejected_uploads_have_a_cap_of_their_own(installation: Installation) ->
         installation.submit(enqueue=False)
 
 
+@contextmanager
+def _hours_ago(hours: float) -> Iterator[None]:
+    """Set the clock back; the ledger itself cannot be changed."""
+    now = database.now
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(database, "now", lambda session: now(session) - timedelta(hours=hours))
+        yield
+
+
+def test_the_wait_is_until_there_is_room(installation: Installation) -> None:
+    """What was in flight may leave more than the cap: the wait is until fewer are left, not until the oldest is gone."""
+    for hours in (23, 22, 21):
+        with _hours_ago(hours):
+            _reject(installation, installation.submit(enqueue=False))
+    for cap, hours in ((3, 1), (2, 2), (1, 3)):
+        _set_rules(installation, rejections_per_day=cap)
+        with pytest.raises(TooManyRejections) as caught:
+            installation.submit(enqueue=False)
+        assert caught.value.retry_after_s is not None
+        assert 3600 * hours - 60 < caught.value.retry_after_s <= 3600 * hours
+
+
+def test_a_grant_that_ends_before_what_it_allowed_lengthens_the_wait(installation: Installation) -> None:
+    """Two are sent of one and one granted; when the grant ends both count against one, so the second must end, too."""
+    _set_rules(installation, submissions_per_day=1)
+    with _hours_ago(6), installation.services.transaction() as session:
+        phase = benchmarks.find_phase(session, "cs3d", "test")
+        quota.grant(session, team=installation.team, phase=phase, count=1, reason="lost day", actor="admin:test")
+    for hours in (5, 0):
+        with _hours_ago(hours):
+            installation.submit(enqueue=False)
+    with pytest.raises(QuotaExceeded) as caught:
+        installation.submit(enqueue=False)
+    assert caught.value.retry_after_s is not None
+    assert 86000 < caught.value.retry_after_s <= 86400
+
+
 def test_cancelled_uploads_count_towards_the_cap_of_rejections(installation: Installation) -> None:
     """Sending and cancelling costs nothing, but the bytes are kept: one rejected and one cancelled fill a cap of two."""
     _set_rules(installation, rejections_per_day=2)
@@ -89,8 +130,9 @@ def test_a_grant_allows_more(installation: Installation) -> None:
         phase = benchmarks.find_phase(session, "cs3d", "test")
         quota.grant(session, team=installation.team, phase=phase, count=1, reason="lost day", actor="admin:test")
     installation.submit(enqueue=False)
-    with pytest.raises(QuotaExceeded):
+    with pytest.raises(QuotaExceeded, match="what maintainers grant alone") as caught:
         installation.submit(enqueue=False)
+    assert caught.value.retry_after_s is None
 
 
 def test_uploads_at_once_never_exceed_the_quota(installation: Installation) -> None:

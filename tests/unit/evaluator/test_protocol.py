@@ -23,6 +23,7 @@ both = pytest.mark.parametrize("protocol", PROTOCOLS.values(), ids=lambda protoc
         {"labels": "car"},
         {"min_iou": math.nan},
         {"min_iou": math.inf},
+        {"min_iou": 1.01},
         {"min_iou": -0.1},
         {"max_depth_m": 0},
         {"max_depth_m": -5},
@@ -45,6 +46,15 @@ def test_a_parameter_without_meaning_is_wrong_usage(protocol: Protocol, changed:
     """The message names the parameter; no score comes of it."""
     with pytest.raises(UsageError, match=next(iter(changed))):
         evaluate(make_ground_truth(CAR), make_predictions(CAR), replace(protocol, **changed))
+
+
+@pytest.mark.parametrize(
+    ("name", "version"), [("papr", "1"), ("Paper", "1"), ("cityscapes3d", "7"), ("", ""), ("paper", "2")]
+)
+def test_rules_that_do_not_exist_are_wrong_usage(name: str, version: str) -> None:
+    """A signature names the rules that were used, so no others can be asked for; the message lists those there are."""
+    with pytest.raises(UsageError, match="only cityscapes3d:1, paper:1"):
+        evaluate(make_ground_truth(CAR), make_predictions(CAR), Protocol(name=name, version=version))
 
 
 def test_modal_boxes_have_no_place_in_the_paper() -> None:
