@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import httpx
 
@@ -88,6 +89,13 @@ class Server:
             )
 
         return _checked(_persistently(send), "id", "links")
+
+    def images(self, benchmark: str, phase: str) -> bytes:
+        """Fetch which images a phase has, with their cameras: an `ImageList` as JSON."""
+        path = "/".join(quote(slug, safe="") for slug in (benchmark, phase))
+        answer = _persistently(lambda: self._http.get(f"/api/v1/benchmarks/{path}/images"))
+        _checked(answer, "images", "intrinsics_px", "sensor_from_vehicle")
+        return answer.content
 
     def follow(self, submission_id: str) -> Iterator[dict[str, Any]]:
         """Yield the submission now and after every change, until nothing changes by itself any more."""

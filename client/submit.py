@@ -31,7 +31,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--method", metavar="M", required=True, help="short name; a new one makes a new method")
     parser.add_argument("--method-name", metavar="NAME", help="the method's name as shown on the leaderboard")
     parser.add_argument("--description", metavar="TEXT", help="what a new method is")
-    parser.add_argument("--check", action="store_true", help="validate offline first; send nothing with errors in it")
+    parser.add_argument("--check", action="store_true", help="validate before sending; send nothing with errors in it")
     parser.add_argument("--wait", action="store_true", help="wait for the scores and print them")
     add_server_options(parser)
 
@@ -51,8 +51,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.predictions.is_file():
         message = f"{args.predictions} is not a file; pack the prediction files into one zip."
         raise UsageError(message)
-    if args.check and not _passes_validation(args.predictions):
-        return 1
+    with explain_refusal():
+        if args.check and not _passes_validation(args.predictions, server.images(args.benchmark, args.phase)):
+            return 1
     fields = {name: getattr(args, name) for name in ("benchmark", "phase", "method", "method_name", "description")}
     with explain_refusal(), _progress(args.predictions, quiet=args.json) as sent:
         given = {name: value for name, value in fields.items() if value is not None}
@@ -84,14 +85,18 @@ def connect(args: argparse.Namespace) -> "Server":
     return Server(url, token)
 
 
-def _passes_validation(predictions: Path) -> bool:
-    """Validate offline and print what is wrong; without an image list missing images go unnoticed."""
-    from client.report_text import report_text  # noqa: PLC0415 - keeps `cs3d --help` fast
+def _passes_validation(predictions: Path, image_list: bytes) -> bool:
+    """Validate and print what is wrong; the image list is the phase's, as JSON."""
+    import msgspec  # noqa: PLC0415 - keeps `cs3d --help` fast
+
+    from client.report_text import report_text  # noqa: PLC0415 - likewise
+    from evaluator.ground_truth import ImageList  # noqa: PLC0415 - likewise
     from evaluator.intake import read_predictions  # noqa: PLC0415 - likewise
     from evaluator.limits import ANY_SIZE  # noqa: PLC0415 - likewise
 
     # How large an archive may be is the server's to say.
-    report = read_predictions(predictions, images=None, limits=ANY_SIZE).report
+    images = msgspec.json.decode(image_list, type=ImageList)
+    report = read_predictions(predictions, images=images, limits=ANY_SIZE).report
     if report.groups:
         print(report_text(report), file=sys.stderr)
     return report.accepted

@@ -1,12 +1,15 @@
 """What `cs3d submit` and `cs3d watch` print, and how they exit."""
 
 import json
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
+from client import submit
 from client.main import main
 from client.server_api import Server
 from client.watch import conclude
@@ -38,13 +41,43 @@ def test_what_is_missing_is_wrong_usage(
     assert said in capsys.readouterr().err
 
 
-def test_errors_found_offline_are_not_sent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With --check a file that is no zip is explained and exits with 1; the server, which is not there, is not asked."""
+def _only_lists_images(request: httpx.Request) -> httpx.Response:
+    """Be a server that tells its two images and takes nothing."""
+    assert (request.method, request.url.path) == ("GET", "/api/v1/benchmarks/cs3d/test/images")
+    images = ["bonn_000000_000019", "bonn_000001_000019"]
+    return httpx.Response(200, json={"images": images, "intrinsics_px": [], "sensor_from_vehicle": []})
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        (None, ["not_a_zip"]),
+        (["bonn_000000_000019_pred.json"], ["missing_image", "bonn_000001_000019_<anything>.json"]),
+        (
+            ["bonn_000000_000019_pred.json", "bonn_000007_000019_pred.json"],
+            ["unknown_image", "bonn_000007_000019_pred"],
+        ),
+    ],
+)
+def test_what_has_errors_is_not_sent(
+    files: list[str] | None,
+    said: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With --check the server is asked for the phase's images; what has errors exits with 1 and is not sent."""
     archive = tmp_path / "ours.zip"
     archive.write_text("no zip")
-    arguments = ["submit", str(archive), *SUBMIT[2:], "--check", "--server", "http://127.0.0.1:9", "--token", "cs3d_x"]
-    assert main(arguments) == 1
-    assert "not_a_zip" in capsys.readouterr().err
+    if files is not None:
+        with zipfile.ZipFile(archive, "w") as opened:
+            for name in files:
+                opened.writestr(name, '{"objects": []}')
+    server = Server("http://server.example", "cs3d_x", transport=httpx.MockTransport(_only_lists_images))
+    monkeypatch.setattr(submit, "connect", lambda _: server)
+    assert main(["submit", str(archive), *SUBMIT[2:], "--check"]) == 1
+    printed = capsys.readouterr().err
+    assert all(part in printed for part in said)
 
 
 class _FinishedServer(Server):
