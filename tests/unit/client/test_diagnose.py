@@ -56,6 +56,22 @@ def test_diagnose_shows_the_errors_of_one_class(capsys: pytest.CaptureFixture[st
     assert "Car by kind of object" in printed
 
 
+def test_errors_stand_beside_those_of_people(capsys: pytest.CaptureFixture[str]) -> None:
+    """Both columns of people's errors are the paper's: 0.61 m and 1.78 degrees up to 10 m, 0.75 m and 2.09 over all."""
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    mean = msgspec.convert(document["diagnosis"], Diagnosis).accuracy.errors.mean
+    assert main(["diagnose", *ARGUMENTS, str(CASE / "pred")]) == 0
+    table = capsys.readouterr().out.split("Mean errors of all classes, beside people's\n")[1].split("\n\n")[0]
+    header, _, *rows = [re.split(r" {2,}", line.strip()) for line in table.splitlines()]
+    assert header[2:4] == ["centre m", "(people)"]
+    assert header[7:9] == ["yaw deg", "(people)"]
+    by_distance = {row[0]: row for row in rows}
+    assert (by_distance["10"][3], by_distance["10"][8]) == ("0.61", "1.78")
+    assert by_distance["all"][2:4] == [number(mean.center_m), "0.75"]
+    assert by_distance["all"][7:9] == [number(mean.yaw_deg), "2.09"]
+
+
 def test_a_class_without_ground_truth_cannot_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
     """The message names the classes that can."""
     assert main(["diagnose", *ARGUMENTS, str(CASE / "pred"), "--class", "boat"]) == 2

@@ -6,7 +6,7 @@ import pytest
 
 from evaluator.comparison.argoverse import ArgoverseScores, evaluate_argoverse
 from evaluator.comparison.boxes import class_boxes
-from tests.array_factories import AWAY, Box, make_ground_truth, make_predictions
+from tests.array_factories import AWAY, Box, Triple, make_ground_truth, make_predictions
 
 
 def score(truth: list[Box], found: list[Box], *, ignore: bool = False) -> ArgoverseScores:
@@ -37,6 +37,30 @@ def test_a_far_prediction_in_an_ignore_region_blocks_nothing() -> None:
     found = [Box(center=(30.0, 0.0, 0.75), score=0.9), Box(score=0.8)]
     assert score([Box()], found, ignore=True).map == 1.0
     assert score([Box()], found).map == 0.0
+
+
+@pytest.mark.parametrize(("offset_m", "expected"), [(3.9, (0.0, 0.0, 0.0, 1.0)), (4.0, (1.0,) * 4)])
+def test_a_prediction_within_four_metres_of_a_box_is_not_excused(offset_m: float, expected: tuple[float, ...]) -> None:
+    """Nearer than the greatest distance it takes the box, ignore region or not; unmatched it is no false positive."""
+    found = [Box(center=(20.0 + offset_m, 0.0, 0.75), score=0.9), Box(score=0.8)]
+    assert score([Box()], found, ignore=True).classes[0].ap_by_distance == expected
+
+
+@pytest.mark.parametrize(
+    ("center", "counted"),
+    [
+        ((90.0, 119.9, 0.0), True),  # sqrt(90^2 + 119.9^2) = 149.92
+        ((90.0, 120.0, 0.0), False),  # 150, which is not nearer
+        ((90.0, 119.9, 20.0), False),  # 151.25 in space
+    ],
+)
+def test_boxes_nearer_than_150_m_count(center: Triple, counted: bool) -> None:  # noqa: FBT001 - a parameter
+    """A far box neither has to be found nor costs anything when predicted; the distance is that in space."""
+    far = Box(center=center, score=0.9)
+    annotated, predicted = score([far], [far]).classes[0], score([Box()], [far, Box(score=0.8)])
+    assert (annotated.ground_truth_count, annotated.ap) == ((1, 1.0) if counted else (0, None))
+    # in range it goes for the only box, as in av2, and the hit behind it finds that taken
+    assert predicted.map == (0.0 if counted else 1.0)
 
 
 def test_a_hundred_predictions_of_an_image_count() -> None:

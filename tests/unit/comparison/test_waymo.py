@@ -1,5 +1,7 @@
 """Waymo-style AP by range and the longitudinal error tolerant metrics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,11 +87,18 @@ def test_a_curve_that_never_leaves_recall_zero_is_worth_nothing() -> None:
     assert integrate_curve(np.array([1.0, 1.0]), np.array([0.0, 0.0]), 0.05) == 0.0
 
 
-def test_two_wheelers_have_looser_overlaps() -> None:
-    """An IoU of 0.6 is a match for a bicycle and none for a car."""
-    truth = [at(20.0), Box(label="bicycle", center=(20.0, 10.0, 0.0))]
-    found = [at(21.0), Box(label="bicycle", center=(21.0, 10.0, 0.0))]
-    scores = evaluate_waymo(class_boxes(make_predictions(found), make_ground_truth(truth)))
-    by_label = {score.label: score.overall.ap for score in scores.classes}
-    assert by_label["car"] == 0.0
-    assert by_label["bicycle"] == pytest.approx(1.0)
+@pytest.mark.parametrize(
+    ("label", "light"),
+    [("car", False), ("truck", False), ("bus", False), ("train", False), ("motorcycle", True), ("bicycle", True)],
+)
+def test_two_wheelers_have_looser_overlaps(label: str, light: bool) -> None:  # noqa: FBT001 - a parameter of the test
+    """Waymo's thresholds are 0.5 for cyclists and 0.7 for vehicles, with a tolerated depth error 0.3 and 0.5."""
+    truth = Box(label=label, center=(20.0, 0.0, 0.0))
+    # 4 m long: 1 m further away they share 3 of 5 m, IoU 0.6; 1.6 m long at the same place, 0.4
+    further, shorter = (
+        next(score.overall for score in evaluate_waymo(class_boxes(*sides)).classes if score.label == label)
+        for found in (replace(truth, center=(21.0, 0.0, 0.0)), replace(truth, dimensions=(1.6, 2.0, 1.5)))
+        for sides in [(make_predictions([found]), make_ground_truth([truth]))]
+    )
+    assert (further.ap, shorter.let_ap) == pytest.approx((1.0, 1.0) if light else (0.0, 0.0))
+    assert (further.let_ap, shorter.ap) == pytest.approx((1.0, 0.0))

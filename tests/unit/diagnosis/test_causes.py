@@ -139,3 +139,39 @@ def test_several_predictions_that_point_at_one_box_win_it_once() -> None:
     by_name = {cause.name: cause for cause in car.causes}
     assert by_name["localisation"].count == 2
     assert by_name["localisation"].ap_gain == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize(("hit", "error", "gain"), [(0.5, 0.9, 1 / 6), (0.9, 0.5, 0.0)])
+def test_a_box_already_found_is_not_won_again(hit: float, error: float, gain: float) -> None:
+    """A prediction half beside a car that another one finds is taken away, and wins it only where that one is silent."""
+    # one car of three: behind the false positive AP is 1/3 x 1/2, else 1/3, which is all that can be had
+    found = [replace(TRUTH[1], score=hit), replace(TRUTH[1], center=(30.0, 7.0, 0.75), score=error)]
+    evaluation = evaluation_of(found)
+    car = causes(evaluation, at_working_point(evaluation), nearest(evaluation))[0]
+    localisation = next(cause for cause in car.causes if cause.name == "localisation")
+    assert localisation.count == 1
+    assert localisation.ap_gain == pytest.approx(gain)
+
+
+@pytest.mark.parametrize(
+    ("prediction", "cause"),
+    [
+        # shifted by s of 100 columns the IoU is (100 - s) / (100 + s): 19 / 181 = .105, 18 / 182 = .099
+        (Box(modal=(81.0, 0.0, 99.0, 99.0)), "localisation"),
+        (Box(modal=(82.0, 0.0, 99.0, 99.0)), "background"),
+        (Box(modal=(81.0, 0.0, 99.0, 99.0), label="truck"), "both"),
+        (Box(modal=(82.0, 0.0, 99.0, 99.0), label="truck"), "background"),
+        # the region holds columns 1000 to 1010: 11 of 100, then 10, which is not more than a tenth
+        (Box(modal=(1000.0, 0.0, 99.0, 99.0)), "ignore_region"),
+        (Box(modal=(1001.0, 0.0, 99.0, 99.0)), "background"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else f"{value.label} at {value.modal[0]:.0f}",
+)
+def test_what_overlaps_by_less_than_a_tenth_is_background(prediction: Box, cause: str) -> None:
+    """TIDE's background threshold of 0.1, for boxes of the same and of another class and for ignore regions."""
+    truth = make_ground_truth([Box(modal=(0.0, 0.0, 99.0, 99.0))], ignore=[(0, (1000.0, 0.0, 10.0, 99.0))])
+    modal = msgspec.structs.replace(EVERYTHING_COUNTS, modal=True)
+    evaluation = evaluate(truth, make_predictions([prediction]), modal)
+    found = causes(evaluation, at_working_point(evaluation), nearest(evaluation))
+    false_positives = [item.name for part in found for item in part.causes if item.count and item.name != "missed"]
+    assert false_positives == [cause]

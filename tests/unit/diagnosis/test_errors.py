@@ -62,6 +62,15 @@ def test_summary_tells_size_and_bias_of_an_error_apart() -> None:
     assert (summary.mean.center_m, summary.bias.center_m) == (2.0, None)
 
 
+@pytest.mark.parametrize(("found", "median"), [((9.0, -1.0, 2.0), 2.0), ((9.0, -1.0, 2.0, -4.0), 3.0)])
+def test_one_gross_error_moves_the_mean_and_not_the_median(found: tuple[float, ...], median: float) -> None:
+    """1, 2 and 9 are 4 on average and 2 in the middle; of 1, 2, 4 and 9 the middle is 3."""
+    values = np.zeros((len(found), len(ERROR_NAMES)))
+    values[:, ERROR_NAMES.index("lateral_m")] = found
+    summary = summarize_errors(pairs(values))
+    assert (summary.mean.lateral_m, summary.median.lateral_m) == (4.0, median)
+
+
 def test_no_true_positives_leave_every_error_undefined() -> None:
     """Nothing measured is None, not 0."""
     summary = summarize_errors(pairs(np.empty((0, len(ERROR_NAMES)))))

@@ -45,6 +45,14 @@ def test_occlusion_steps_belong_to_the_group_they_end() -> None:
     assert by_name["1-20 %"].mean.center_m is None
 
 
+def test_occlusion_and_truncation_are_told_apart() -> None:
+    """What is cut off by the image's edge is not hidden by something, and the other way round."""
+    boxes = [Box(occlusion=0.5), Box(truncation=0.3), Box(occlusion=0.9, truncation=np.nan)]
+    sorted_boxes = groupings(boxes, [])
+    assert recalls(sorted_boxes["occlusion"]) == {"0 %": (1, 0.0), "41-60 %": (1, 0.0), "81-100 %": (1, 0.0)}
+    assert recalls(sorted_boxes["truncation"]) == {"0 %": (1, 0.0), "21-40 %": (1, 0.0), "unknown": (1, 0.0)}
+
+
 def test_prototypes_keep_their_names() -> None:
     """Objects are sorted by the annotator's size prototype."""
     boxes = annotated([Box(), Box(center=(20.0, 6.0, 0.75), prototype="Mini Car")])
@@ -74,6 +82,13 @@ def test_crowding_counts_touching_boxes_of_any_class() -> None:
     crowding = groupings(boxes, [])["crowding"]
     # the caravan has two neighbours but is not evaluated
     assert recalls(crowding) == {"alone": (1, 0.0), "1 neighbour": (2, 0.0)}
+
+
+@pytest.mark.parametrize(("offset", "expected"), [(50.0, {"1 neighbour": (2, 0.0)}), (51.0, {"alone": (2, 0.0)})])
+def test_one_shared_pixel_is_a_neighbour(offset: float, expected: dict[str, tuple[int, float]]) -> None:
+    """A box 50 px wide reaches over columns 0 to 50, so one that begins at (50, 50) shares a corner with it."""
+    boxes = [Box(amodal=(0.0, 0.0, 50.0, 50.0)), Box(amodal=(offset, offset, 50.0, 50.0))]
+    assert recalls(groupings(boxes, [])["crowding"]) == expected
 
 
 def test_a_class_is_sorted_by_itself() -> None:

@@ -120,6 +120,14 @@ def test_unmatched_boxes_in_an_ignore_region_are_discarded() -> None:
     assert matches.false_positive_thresholds.tolist() == [0, 0]
 
 
+@pytest.mark.parametrize(("columns", "discarded"), [(70, False), (71, True)])
+def test_more_than_seventy_percent_must_be_ignored(columns: int, discarded: bool) -> None:  # noqa: FBT001 - a parameter
+    """Of 100 columns of pixels 70 are not more than 70 %, 71 are; a width of 69 px reaches over 70 columns."""
+    matches = _match([], [Box(amodal=(0, 0, 99, 99))], ignore=(0, 0, columns - 1, 99))
+
+    assert np.bitwise_count(matches.ignored_thresholds).tolist() == [51 if discarded else 0]
+
+
 def test_every_active_prediction_is_exactly_one_of_three() -> None:
     """Matched, ignored or false positive: the masks of a prediction never overlap and add up to its score."""
     rng = np.random.default_rng(1)

@@ -1,15 +1,18 @@
 """The protocol `paper` where it differs from `cityscapes3d`, on cases small enough for pencil and paper."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from evaluator.evaluation import evaluate
+from evaluator.ground_truth import GroundTruth
 from evaluator.paper_matching import match_by_paper, plain_ious
 from evaluator.protocol import PAPER
 from evaluator.thresholds import unpacked
-from tests.array_factories import Box, annotated, make_ground_truth, make_predictions
+from tests.array_factories import Box, Rectangle, annotated, make_ground_truth, make_predictions
 
 NEAR = Box(center=(20.0, 0.0, 0.0))
 FAR = Box(center=(40.0, 8.0, 0.0))
@@ -73,6 +76,41 @@ def test_regions_are_compared_with_the_projected_box() -> None:
     matches = match_by_paper(make_ground_truth([NEAR], ignore=[(0, region)]), make_predictions([NEAR, hidden]), PAPER)
 
     assert np.bitwise_count(matches.false_positive_thresholds).tolist() == [0, 51]
+
+
+def _in_whole_pixels(truth: list[Box], regions: Sequence[Rectangle] = ()) -> GroundTruth:
+    """Make ground truth seen by a camera in which a metre, 16 m ahead, is 64 px, and the middle is (1024, 512)."""
+    ground_truth = make_ground_truth(truth, ignore=[(0, region) for region in regions])
+    return replace(ground_truth, intrinsics_px=np.array([[1024.0, 1024.0, 1024.0, 512.0]]))
+
+
+def _facing(width_px: float) -> Box:
+    """Return a box whose front, 16 m ahead, is so many pixels wide and 160 high; nothing of it is seen beside that."""
+    return Box(center=(18.0, 0.0, 0.0), dimensions=(4.0, width_px / 64, 2.5))
+
+
+@pytest.mark.parametrize(("width_px", "matched"), [(112, True), (111, False)])
+def test_an_iou_of_exactly_the_minimum_is_a_match(width_px: float, matched: bool) -> None:  # noqa: FBT001 - a parameter
+    """112 of 160 columns are an IoU of .7, which the paper requires; 111 are .694."""
+    found = match_by_paper(_in_whole_pixels([_facing(160)]), make_predictions([_facing(width_px)]), PAPER)
+
+    assert found.prediction_index.tolist() == ([0] if matched else [])
+
+
+@pytest.mark.parametrize("min_iou", [0.5, 0.7, 0.9])
+@pytest.mark.parametrize(("width_px", "discarded"), [(112, True), (111, False)])
+def test_seventy_percent_in_an_ignore_region_are_enough(
+    min_iou: float,
+    width_px: float,
+    discarded: bool,  # noqa: FBT001 - a parameter
+) -> None:
+    """At least 70 % of the box, 112 of 160 columns, whatever the IoU that a match needs."""
+    truth = _in_whole_pixels([], [(944.0, 400.0, width_px, 300.0)])  # the box begins at 1024 - 80
+
+    matches = match_by_paper(truth, make_predictions([_facing(160)]), msgspec.structs.replace(PAPER, min_iou=min_iou))
+
+    assert np.bitwise_count(matches.ignored_thresholds).tolist() == [51 if discarded else 0]
+    assert np.bitwise_count(matches.false_positive_thresholds).tolist() == [0 if discarded else 51]
 
 
 def test_average_precision_uses_every_score() -> None:

@@ -1,7 +1,7 @@
 """Scores of weighted images, in every protocol and depth bin, are those an evaluation of these images gives."""
 
 import tracemalloc
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,18 @@ from evaluator.parallel import ground_truth_of
 from evaluator.predictions import Float64Array
 from evaluator.protocol import CITYSCAPES3D, PAPER, Protocol
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates, Replicator, every_bin, replicate
-from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, unit_index
+from evaluator.resampling import Unit, Weighting, bootstrap_weights, leave_one_out, unit_index
 from evaluator.results import Scores
 from evaluator.scoring import score
 from evaluator.uncertainty import intervals
-from tests.array_factories import make_ground_truth, make_predictions
+from tests.array_factories import (
+    Box,
+    annotated,
+    disturbed_boxes,
+    make_ground_truth,
+    make_predictions,
+    scattered_boxes,
+)
 from tests.prediction_arrays import load_predictions
 
 CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
@@ -43,14 +50,24 @@ def _forty(evaluation: Evaluation) -> Scores:
 
 def _equal(found: Replicates, scores: Scores) -> None:
     """Compare the only row of replicates with scores: classes, working points, depth bins."""
-    classes = [[getattr(item, name) for name in METRICS] for item in scores.classes]
-    bins = [[[getattr(part, name) for name in BIN_METRICS] for part in item.depth_bins] for item in scores.classes]
+    _equal_metrics(found, scores)
     defined = np.array([item.working_point is not None for item in scores.classes])
     points = [item.working_point for item in scores.classes if item.working_point is not None]
+    assert found.working_point[0][defined].tolist() == points
+
+
+def _equal_metrics(found: Replicates, scores: Scores) -> None:
+    """Compare the only row of replicates with scores: classes, depth bins."""
+    classes = [[getattr(item, name) for name in METRICS] for item in scores.classes]
+    bins = [[[getattr(part, name) for name in BIN_METRICS] for part in item.depth_bins] for item in scores.classes]
 
     assert np.allclose(found.classes[0], _numbers(classes), rtol=0, atol=1e-12, equal_nan=True)
     assert np.allclose(found.depth_bins[0], _numbers(bins), rtol=0, atol=1e-12, equal_nan=True)
-    assert found.working_point[0][defined].tolist() == points
+
+
+def _row(found: Replicates, row: int) -> Replicates:
+    """Return one row of replicates as their only one."""
+    return Replicates(**{field.name: getattr(found, field.name)[[row]] for field in fields(found)})
 
 
 def _numbers(values: list[list[float | None]] | list[list[list[float | None]]]) -> Float64Array:
@@ -117,6 +134,42 @@ def test_each_of_many_resamples_is_what_it_is_alone(evaluation: Evaluation) -> N
 
     assert np.allclose(many.classes[ends], alone.classes, rtol=0, atol=1e-12, equal_nan=True)
     assert np.allclose(many.depth_bins[ends], alone.depth_bins, rtol=0, atol=1e-12, equal_nan=True)
+
+
+def _photographed(boxes: list[Box], times: list[int]) -> list[Box]:
+    """Return the boxes of images each of which is there so many times, under a number of its own each time."""
+    images = np.repeat(np.arange(len(times)), times).tolist()
+    return [replace(box, image=copy) for copy, image in enumerate(images) for box in boxes if box.image == image]
+
+
+@pytest.mark.parametrize("protocol", [CITYSCAPES3D, PAPER], ids=lambda protocol: str(protocol.name))
+def test_each_resample_is_what_evaluating_its_images_gives(protocol: Protocol) -> None:
+    """Each row of one call, its working points its own, is the evaluation of images that are there as often as drawn.
+
+    Under `paper` c_w may be the score of an image that was not drawn, with the same boxes above it.
+    """
+    same = _equal_metrics if protocol is PAPER else _equal
+    images = 6
+    truth = annotated(scattered_boxes(5, images=images))
+    found = disturbed_boxes(6, truth, images=images, spread=0.4)
+    drawn = np.random.default_rng(3).multinomial(images, [1 / images] * images, size=12)
+    sides = make_ground_truth(truth, images=images), make_predictions(found, images=images)
+    statistics = evaluate(*sides, protocol).statistics
+    weightings: list[tuple[Weighting, list[list[int]]]] = [
+        (drawn.astype(np.float32), drawn.tolist()),
+        (leave_one_out(statistics.images), (1 - np.eye(images, dtype=np.int64)).tolist()),
+    ]
+
+    for weighting, rows in weightings:
+        replicates = replicate(statistics, weighting, by_depth=True)
+
+        assert len(np.unique(replicates.working_point, axis=0)) > 2
+        for row, times in enumerate(rows):
+            again = (
+                make_ground_truth(_photographed(truth, times), images=sum(times)),
+                make_predictions(_photographed(found, times), images=sum(times)),
+            )
+            same(_row(replicates, row), evaluate(*again, protocol).scores)
 
 
 def test_depth_bins_are_left_out_unless_asked_for(evaluation: Evaluation) -> None:

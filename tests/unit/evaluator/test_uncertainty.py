@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as replace_fields
 
-from evaluator.confidence import LEVEL
+from evaluator.confidence import LEVEL, Interval
 from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate
 from evaluator.ground_truth import read_ground_truth
 from evaluator.parallel import ground_truth_of
 from evaluator.predictions import Float64Array
 from evaluator.protocol import CITYSCAPES3D
-from evaluator.replicates import MEANS, replicate
-from evaluator.resampling import bootstrap_weights, unit_index
+from evaluator.replicates import MEANS, METRICS, replicate
+from evaluator.resampling import bootstrap_weights, leave_one_out, unit_index
 from evaluator.standings import Standings
 from evaluator.statistics import Statistics, join
 from evaluator.uncertainty import (
+    SEED,
     Method,
     compare,
     compare_replicates,
@@ -26,6 +27,7 @@ from evaluator.uncertainty import (
     mds_replicates,
 )
 from tests.prediction_arrays import load_predictions
+from tests.unit.evaluator.textbook_bootstrap import acceleration, bca_shares, bias_correction, quantile
 
 CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
 
@@ -112,6 +114,30 @@ def test_intervals_are_reproducible_and_hold_the_estimate(repeated: Statistics, 
     ):
         assert found is not None
         assert found.lower < found.estimate < found.upper
+
+
+@pytest.mark.parametrize("level", [0.9, 0.95])
+def test_intervals_of_average_precision_are_those_of_the_textbook(repeated: Statistics, level: float) -> None:
+    """Quantiles of the replicates, and the shares that bias and a jackknife over the images move them to."""
+    drawn, left_out = (
+        replicate(repeated, weighting).classes[:, 0, METRICS.index("ap")].tolist()
+        for weighting in (bootstrap_weights(repeated.images, resamples=201, seed=SEED), leave_one_out(repeated.images))
+    )
+
+    tails = (1 - level) / 2, (1 + level) / 2
+
+    ap = _of_car_ap(repeated, level, "percentile")
+    assert (ap.lower, ap.upper) == pytest.approx([quantile(drawn, share) for share in tails], abs=1e-12)
+
+    ap = _of_car_ap(repeated, level, "bca")
+    shares = bca_shares(bias_correction(ap.estimate, drawn), acceleration(left_out), level)
+    assert (ap.lower, ap.upper) == pytest.approx([quantile(drawn, share) for share in shares], abs=1e-12)
+
+
+def _of_car_ap(statistics: Statistics, level: float, method: Method) -> Interval:
+    found = intervals(statistics, resamples=201, level=level, method=method, by_depth=False).classes["car"]["ap"]
+    assert found is not None
+    return found
 
 
 def test_the_estimates_are_the_scores(evaluation: Evaluation, repeated: Statistics) -> None:
