@@ -64,12 +64,17 @@ class Server:
         except httpx.InvalidURL as error:
             raise UsageError(_NO_ADDRESS) from error
 
+    def address(self, path: str) -> str:
+        """Give the whole address of a path on the server."""
+        return f"{str(self._http.base_url).rstrip('/')}{path}"
+
     def submit(self, archive: Path, fields: dict[str, str], sent: Callable[[int], None]) -> dict[str, Any]:
         """Upload a zip.
 
         Args:
             archive: The zip of prediction files.
-            fields: benchmark, phase, method and, if wanted, method_name and description.
+            fields: benchmark, phase, method and, if wanted, what is shown of the method: method_name, description,
+                paper_url, code_url.
             sent: Called with the number of bytes sent so far.
 
         Returns:

@@ -17,6 +17,8 @@ from evaluator.errors import UsageError
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from client.server_api import Server
 
+FIELDS = ("benchmark", "phase", "method", "method_name", "description", "paper_url", "code_url")
+
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Declare the command."""
@@ -29,8 +31,14 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--benchmark", metavar="B", required=True)
     parser.add_argument("--phase", metavar="P", required=True)
     parser.add_argument("--method", metavar="M", required=True, help="short name; a new one makes a new method")
-    parser.add_argument("--method-name", metavar="NAME", help="the method's name as shown on the leaderboard")
-    parser.add_argument("--description", metavar="TEXT", help="what a new method is")
+    parser.add_argument(
+        "--method-name",
+        metavar="NAME",
+        help="the method's name as shown on the leaderboard (default: the one it has, else M)",
+    )
+    parser.add_argument("--description", metavar="TEXT", help="what the method is")
+    parser.add_argument("--paper-url", metavar="URL", help="where the method's paper is")
+    parser.add_argument("--code-url", metavar="URL", help="where its code is")
     parser.add_argument("--check", action="store_true", help="validate before sending; send nothing with errors in it")
     parser.add_argument("--wait", action="store_true", help="wait for the scores and print them")
     add_server_options(parser)
@@ -54,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     with explain_refusal():
         if args.check and not _passes_validation(args.predictions, server.images(args.benchmark, args.phase)):
             return 1
-    fields = {name: getattr(args, name) for name in ("benchmark", "phase", "method", "method_name", "description")}
+    fields = {name: getattr(args, name) for name in FIELDS}
     with explain_refusal(), _progress(args.predictions, quiet=args.json) as sent:
         given = {name: value for name, value in fields.items() if value is not None}
         submission = server.submit(args.predictions, given, sent)
@@ -63,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(submission, indent=2))
     else:
-        print(f"Received as submission {submission['id']}: {submission['links']['page']}")
+        print(f"Received as submission {submission['id']}: {server.address(submission['links']['page'])}")
         print(f"Follow it with: cs3d watch {submission['id']}")
     return 0
 

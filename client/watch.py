@@ -51,7 +51,7 @@ def conclude(server: "Server", submission_id: str, *, as_json: bool) -> int:
 def _state_line(document: dict[str, Any]) -> str:
     """Say on one line where a submission is."""
     progress = document.get("progress")
-    if not progress or document["terminal"]:
+    if not progress or not progress["images_total"] or document["terminal"]:
         return str(document["state"])
     return f"{document['state']}: {progress['stage']} {progress['images_done']} of {progress['images_total']} images"
 

@@ -81,6 +81,7 @@ class Code(StrEnum):
     # warnings
     ROTATION_NOT_NORMALISED = "rotation_not_normalised"
     CITYPERSONS_KEYS = "citypersons_keys"
+    NO_BOXES = "no_boxes"
     # recognised mistakes (evaluator/doctor)
     QUATERNION_XYZW = "quaternion_xyzw"
     ROTATION_IN_DEGREES = "rotation_in_degrees"
@@ -241,6 +242,10 @@ MEANINGS: dict[Code, Meaning] = {
         "The keys bbox and bboxVis are ignored here, while cityscapesScripts reads them instead of amodal and modal.",
         "Remove them.",
     ),
+    Code.NO_BOXES: _warning(
+        "No file has a box of an evaluated class.",
+        "Look whether the detector's output was written: every object found is an entry of `objects`.",
+    ),
     Code.QUATERNION_XYZW: _warning(
         "The quaternions seem to be in the order x, y, z, w.", "Write them as w, x, y, z: put the last number first."
     ),
@@ -295,7 +300,7 @@ MEANINGS: dict[Code, Meaning] = {
         "Check the frame of the centres, the camera of each image and the 2D boxes.",
     ),
     Code.UNEVALUATED_LABEL: Meaning(
-        "note", "Boxes of classes that this benchmark does not evaluate were left out.", "Nothing needs to be done."
+        "note", "Boxes of classes that are not evaluated were left out.", "Nothing needs to be done."
     ),
     Code.RESULTS_FILE_IGNORED: Meaning(
         "note", "A file named results.json was ignored.", "Nothing needs to be done; it may be removed."

@@ -171,8 +171,12 @@ def _json_files(source: Path, found: list[str]) -> Iterator[tuple[str, bytes]]:
     """Yield names and bytes in sorted order; `found` receives what only looks like ground truth."""
     if source.is_dir():
         for name in sorted(_names_below(source, found)):
-            if _is_wanted(name, found):
+            if not _is_wanted(name, found):
+                continue
+            if (source / name).is_file():
                 yield name, (source / name).read_bytes()
+            else:  # reading from a pipe would wait for its other end
+                found.append(f"{name}: no regular file; put the file itself there")
     elif zipfile.is_zipfile(source):
         with zipfile.ZipFile(source) as archive:
             for name in sorted(archive.namelist()):

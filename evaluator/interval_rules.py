@@ -12,7 +12,7 @@ from evaluator.protocol import PAPER, Protocol
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates
 from evaluator.statistics import Statistics
 
-FEWEST_UNITS = 500
+FEWEST_FOR_INTERVALS = 500
 """Images, or sequences or cities where these are drawn, for any interval, and for any difference of two submissions."""
 FEWEST_BOXES = 10
 """Ground-truth boxes of a class for its AP and detection score, and of each class for mAP and mDS."""
@@ -63,7 +63,7 @@ def sufficient(statistics: Statistics, estimate: Replicates, units: int) -> tupl
         found >= FEWEST_TRUE_POSITIVES_IN_BIN,
         found >= FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW,
     )
-    trusted, possible = units >= FEWEST_UNITS, can_be_resampled(statistics.protocol)
+    trusted, possible = units >= FEWEST_FOR_INTERVALS, can_be_resampled(statistics.protocol)
     return means & possible & trusted, classes & possible & trusted, bins[:, : estimate.depth_bins.shape[2]] & trusted
 
 

@@ -17,7 +17,7 @@ from evaluator.predictions import IndexArray
 Unit = Literal["image", "sequence", "city"]
 """What is drawn as a whole: names are `<city>_<sequence>_<frame>`."""
 
-FEWEST_UNITS = 2
+FEWEST_TO_DRAW_FROM = 2
 """One unit drawn as often as there are units is the same data set each time: nothing would vary."""
 
 WeightArray = NDArray[np.float32]
@@ -46,11 +46,9 @@ def bootstrap_weights(images: tuple[str, ...], *, resamples: int, seed: int, uni
         raise UsageError("The seed must be a whole number of 0 or more.")
     member = unit_index(images, unit)
     units = int(member.max(initial=-1)) + 1
-    if units < FEWEST_UNITS:
-        message = (
-            f"Resampling needs at least {FEWEST_UNITS} of what is drawn as a whole ({unit}), and there is {units}."
-        )
-        raise UsageError(f"{message} Draw smaller units, or evaluate more images.")
+    if units < FEWEST_TO_DRAW_FROM:
+        message = f"Resampling needs at least {FEWEST_TO_DRAW_FROM} of what is drawn as a whole ({unit}),"
+        raise UsageError(f"{message} and there is {units}. Draw smaller units, or evaluate more images.")
     drawn = np.random.default_rng(seed).integers(0, units, size=(resamples, units), dtype=np.int32)
     drawn += (np.arange(resamples, dtype=np.int32) * units)[:, None]
     times = np.bincount(drawn.ravel(), minlength=resamples * units).reshape(resamples, units)

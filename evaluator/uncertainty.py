@@ -22,7 +22,7 @@ from evaluator.confidence import (
     require_level,
 )
 from evaluator.errors import UsageError
-from evaluator.interval_rules import FEWEST_UNITS, sufficient
+from evaluator.interval_rules import FEWEST_FOR_INTERVALS, sufficient
 from evaluator.predictions import Float64Array
 from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, Replicator, every_bin, replicate
 from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, once
@@ -128,13 +128,13 @@ def intervals(
         by_depth: Give those of the depth bins, too.
 
     Returns:
-        The intervals; none at all below `FEWEST_UNITS`, where nothing is drawn.
+        The intervals; none at all below `FEWEST_FOR_INTERVALS`, where nothing is drawn.
 
     Raises:
         UsageError: Nothing can be drawn in this way, or the level is none.
     """
     require_level(level)
-    if leave_one_out(statistics.images, unit=unit).units < FEWEST_UNITS:
+    if leave_one_out(statistics.images, unit=unit).units < FEWEST_FOR_INTERVALS:
         found = _undrawn(statistics, unit=unit, by_depth=by_depth)
     else:
         found = bootstrap(statistics, resamples=resamples, seed=seed, unit=unit, method=method, by_depth=by_depth)

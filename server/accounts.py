@@ -6,10 +6,11 @@ import secrets
 import threading
 from datetime import datetime
 from functools import cache
+from urllib.parse import urlsplit
 
 import argon2
 import sqlalchemy as sa
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, joinedload, selectinload
 
 from server import audit, database
 from server.errors import Conflict, Forbidden, InvalidField, NotAuthenticated, NotFound, Unavailable
@@ -17,7 +18,10 @@ from server.models import Membership, Team, Token, User
 
 SECRET_PREFIX = "cs3d_"  # noqa: S105 - the public beginning of every token, so that leaked ones can be found
 MIN_PASSWORD_LENGTH = 10
-SLUG = re.compile(r"[a-z0-9](?:[a-z0-9._-]{0,62}[a-z0-9])?")
+SLUG = re.compile(r"[a-z0-9](?:[a-z0-9._\-]{0,62}[a-z0-9])?")
+"""Forms have it as their pattern, too; browsers want the hyphen escaped."""
+
+MAX_URL_CHARACTERS = 500
 
 
 def checked_slug(field: str, slug: str) -> str:
@@ -46,6 +50,24 @@ def checked_text(field: str, text: str, *, max_length: int) -> str:
         message = f"{field} must have 1 to {max_length} printable characters"
         raise InvalidField(message)
     return text
+
+
+def checked_url(field: str, url: str) -> str:
+    """Return `url` without space at its ends if it can stand in a link to another site: no script, no place of ours.
+
+    Raises:
+        InvalidField: It cannot.
+    """
+    url = url.strip()
+    try:
+        parts = urlsplit(url)
+        usable = parts.scheme in ("http", "https") and bool(parts.hostname)
+    except ValueError:
+        usable = False
+    if not usable or not url.isprintable() or " " in url or len(url) > MAX_URL_CHARACTERS:
+        message = f"{field} must be an address like https://example.org, of {MAX_URL_CHARACTERS} characters at most"
+        raise InvalidField(message)
+    return url
 
 
 @cache
@@ -101,16 +123,39 @@ def hash_password(password: str) -> str:
 
 
 def set_password(session: Session, user: User, password: str, *, actor: str) -> None:
-    """Replace a user's password."""
+    """Replace a user's password.
+
+    Raises:
+        Conflict: The user is disabled.
+        InvalidField: The password is too short.
+    """
+    _require_access(user)
     user.password_hash = hash_password(password)
     audit.record(session, actor=actor, action="user.password_set", subject=audit.subject_of(user))
 
 
 def disable_user(session: Session, user: User, *, actor: str) -> None:
-    """End a user's access for good; nothing happens when it has ended already."""
+    """End a user's access until `enable_user`; nothing happens when it has ended already."""
     if user.disabled_at is None:
         user.disabled_at = database.now(session)
         audit.record(session, actor=actor, action="user.disabled", subject=audit.subject_of(user))
+
+
+def enable_user(session: Session, user: User, *, actor: str) -> None:
+    """Give a disabled user access again; nothing happens when the user has it.
+
+    The password and the tokens of before work again, login sessions of before do not.
+    """
+    if user.disabled_at is not None:
+        user.disabled_at = None
+        user.session_version += 1
+        audit.record(session, actor=actor, action="user.enabled", subject=audit.subject_of(user))
+
+
+def _require_access(user: User) -> None:
+    if user.disabled_at is not None:
+        message = f"{user.email} is disabled; run `cs3d-admin enable-user {user.email}` first"
+        raise Conflict(message)
 
 
 def end_sessions(session: Session, user: User, *, actor: str) -> None:
@@ -184,7 +229,9 @@ def create_token(
 
     Raises:
         Forbidden: The user is not in the team.
+        Conflict: The user is disabled.
     """
+    _require_access(user)
     if not is_member(session, team_id=team.id, user_id=user.id):
         message = f"{user.email} is not in team {team.slug}; a maintainer can add members"
         raise Forbidden(message)
@@ -211,9 +258,33 @@ def revoke_token(session: Session, token: Token, *, actor: str) -> None:
 
 
 def tokens_of(session: Session, user: User) -> list[Token]:
-    """List a user's tokens that were not revoked, latest first."""
+    """List a user's tokens that were not revoked, latest first, with their teams."""
     query = sa.select(Token).where(Token.user_id == user.id, Token.revoked_at.is_(None))
-    return list(session.scalars(query.order_by(Token.id.desc())))
+    return list(session.scalars(query.options(joinedload(Token.team)).order_by(Token.id.desc())))
+
+
+def defects_of(session: Session, user: User) -> dict[int, str | None]:
+    """Say of every token in `tokens_of` why it does not work; None: it does."""
+    at, teams = database.now(session), {team.id for team in teams_of(session, user)}
+    return {
+        token.id: _defect(
+            token,
+            is_over=token.expires_at is not None and token.expires_at <= at,
+            is_in_team=token.team_id in teams,
+        )
+        for token in tokens_of(session, user)
+    }
+
+
+def _defect(token: Token, *, is_over: bool, is_in_team: bool) -> str | None:
+    """Give the first reason why a token does not work."""
+    reasons = {
+        "revoked": token.revoked_at is not None,
+        "user disabled": token.user.disabled_at is not None,
+        "expired": is_over,
+        "user not in team": not is_in_team,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), None)
 
 
 def find_token(session: Session, token_id: int) -> Token:
@@ -243,11 +314,9 @@ def authenticate_token(session: Session, secret: str) -> Token:
 
 
 def _usable(session: Session, token: Token) -> bool:
-    if token.revoked_at is not None or token.user.disabled_at is not None:
-        return False
-    if token.expires_at is not None and token.expires_at <= database.now(session):
-        return False
-    return is_member(session, team_id=token.team_id, user_id=token.user_id)
+    is_over = token.expires_at is not None and token.expires_at <= database.now(session)
+    is_in_team = is_member(session, team_id=token.team_id, user_id=token.user_id)
+    return _defect(token, is_over=is_over, is_in_team=is_in_team) is None
 
 
 def authenticate_password(session: Session, email: str, password: str) -> User:
@@ -290,6 +359,18 @@ def find_user(session: Session, email: str) -> User:
         message = f"there is no user {email!r}; create it with `cs3d-admin create-user`"
         raise NotFound(message)
     return user
+
+
+def list_users(session: Session) -> list[User]:
+    """List every user with their teams, by e-mail address."""
+    teams = selectinload(User.memberships).joinedload(Membership.team)
+    return list(session.scalars(sa.select(User).options(teams).order_by(User.email)))
+
+
+def list_teams(session: Session) -> list[Team]:
+    """List every team with its members, by slug."""
+    members = selectinload(Team.memberships).joinedload(Membership.user)
+    return list(session.scalars(sa.select(Team).options(members).order_by(Team.slug)))
 
 
 def find_team(session: Session, slug: str) -> Team:

@@ -34,3 +34,21 @@ def record(session: Session, *, actor: str, action: str, subject: str, **detail:
 def trail(session: Session, subject: str) -> list[AuditEvent]:
     """List everything that happened to `subject`, oldest first."""
     return list(session.scalars(sa.select(AuditEvent).where(AuditEvent.subject == subject).order_by(AuditEvent.id)))
+
+
+def latest(session: Session, *, subject: str | None = None, action: str | None = None, limit: int) -> list[AuditEvent]:
+    """List the latest events, newest first.
+
+    Args:
+        session: Reads the record.
+        subject: Of this alone, as `subject_of` names it.
+        action: This alone, for example `submission.held`, or a whole kind, for example `submission`.
+        limit: So many at most.
+    """
+    query = sa.select(AuditEvent).order_by(AuditEvent.id.desc()).limit(limit)
+    if subject is not None:
+        query = query.where(AuditEvent.subject == subject)
+    if action is not None:
+        of_kind = AuditEvent.action.startswith(f"{action}.", autoescape=True)
+        query = query.where(sa.or_(AuditEvent.action == action, of_kind))
+    return list(session.scalars(query))

@@ -5,6 +5,7 @@ import zipfile
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Unpack
 
 import msgspec
 import sqlalchemy as sa
@@ -27,6 +28,7 @@ from server.models import (
     Submission,
     SubmissionState,
 )
+from server.phase_rules import PhaseRules, checked_rules, rules_of, written_rules
 
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 """The time every member of a canonical zip carries, so that equal files give equal bytes."""
@@ -78,7 +80,7 @@ def create_phase(
 
     Raises:
         Conflict: The benchmark has a phase of this name.
-        InvalidField: There is no such protocol, or a number is out of range.
+        InvalidField: There is no such protocol, a number is out of range, or the phase would close before it opens.
     """
     slug = checked_slug("phase", slug)
     if session.scalar(sa.select(Phase.id).where(Phase.benchmark_id == benchmark.id, Phase.slug == slug)):
@@ -87,27 +89,69 @@ def create_phase(
     if protocol not in PROTOCOLS:
         message = f"there is no protocol {protocol!r}; choose one of {', '.join(PROTOCOLS)}"
         raise InvalidField(message)
-    if submissions_per_day < 0 or min(rejections_per_day, max_attempts) < 1:
-        raise InvalidField("submissions_per_day must not be negative, rejections_per_day and max_attempts at least 1")
+    rules = checked_rules(
+        PhaseRules(
+            title=title,
+            is_open=is_open,
+            allows_publication=allows_publication,
+            opens_at=opens_at,
+            closes_at=closes_at,
+            submissions_per_day=submissions_per_day,
+            rejections_per_day=rejections_per_day,
+            max_attempts=max_attempts,
+        )
+    )
     phase = Phase(
         benchmark=benchmark,
         slug=slug,
-        title=checked_text("title", title, max_length=200),
         protocol=protocol,
-        is_open=is_open,
-        allows_publication=allows_publication,
-        opens_at=opens_at,
-        closes_at=closes_at,
-        submissions_per_day=submissions_per_day,
-        rejections_per_day=rejections_per_day,
-        max_attempts=max_attempts,
         shards=checked_shards(shards),
         created_at=database.now(session),
+        **rules,
     )
     session.add(phase)
     session.flush()
     audit.record(session, actor=actor, action="phase.created", subject=audit.subject_of(phase), slug=slug)
     return phase
+
+
+def edit_phase(session: Session, phase: Phase, *, actor: str, **changes: Unpack[PhaseRules]) -> dict[str, object]:
+    """Change rules of a phase from now on.
+
+    Returns:
+        The new values, as JSON, of the rules that differ from what they were; empty: none does, and nothing happens.
+
+    Raises:
+        InvalidField: A value cannot be, alone or beside the rules that stay.
+        Conflict: Submissions are published in a phase that shall not allow it any more.
+    """
+    session.get_one(Phase, phase.id, with_for_update={"key_share": True}, populate_existing=True)
+    before = rules_of(phase)
+    rules = checked_rules({**before, **changes})
+    old, new = written_rules(before), written_rules(rules)
+    changed = [name for name in new if new[name] != old[name]]
+    if not changed:
+        return {}
+    if "allows_publication" in changed and not rules["allows_publication"]:
+        _require_nothing_published(session, phase)
+    for name, value in rules.items():
+        setattr(phase, name, value)
+    session.flush()
+    detail = {"old": {name: old[name] for name in changed}, "new": {name: new[name] for name in changed}}
+    audit.record(session, actor=actor, action="phase.changed", subject=audit.subject_of(phase), **detail)
+    return detail["new"]
+
+
+def _require_nothing_published(session: Session, phase: Phase) -> None:
+    published = sa.select(sa.func.count()).where(
+        Submission.phase_id == phase.id, Submission.publication == Publication.PUBLISHED
+    )
+    if count := session.scalar(published):
+        message = (
+            f"phase {phase.slug} has {count} published; take them off its leaderboard with"
+            " `cs3d-admin publish --withdraw`, then forbid publication"
+        )
+        raise Conflict(message)
 
 
 def set_shards(session: Session, phase: Phase, shards: int, *, actor: str) -> None:

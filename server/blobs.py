@@ -12,7 +12,7 @@ import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -326,14 +326,8 @@ def _open_bucket(settings: Settings) -> object:
         settings.blob_url,
         config=cast("Any", {name: value for name, value in given.items() if value is not None}),
         client_options={"allow_http": True, "timeout": "300s", "connect_timeout": "5s"},
-        retry_config={"max_retries": 3, "retry_timeout": _seconds(20)},
+        retry_config={"max_retries": 3, "retry_timeout": timedelta(seconds=20)},
     )
-
-
-def _seconds(count: int) -> Any:  # noqa: ANN401 - obstore takes a timedelta, its stub says so only for checkers
-    from datetime import timedelta  # noqa: PLC0415
-
-    return timedelta(seconds=count)
 
 
 @contextmanager

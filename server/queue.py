@@ -109,7 +109,7 @@ class Queue:
         """Prepare to send; the broker is connected with the first message."""
         self._app = celery_app(settings)
 
-    def enqueue(self, submission_id: uuid.UUID, *, priority: int = PRIORITY_NORMAL) -> bool:
+    def enqueue(self, submission_id: uuid.UUID) -> bool:
         """Tell the workers that a submission waits.
 
         Call it after the commit. It waits for a dead or hanging broker a few seconds at most and never raises.
@@ -117,7 +117,7 @@ class Queue:
         Returns:
             False when the broker did not take the message; the sweeper then sends it again.
         """
-        return self._send(EVALUATE_TASK, str(submission_id), priority)
+        return self._send(EVALUATE_TASK, str(submission_id), PRIORITY_NORMAL)
 
     def enqueue_item(self, item_id: int) -> bool:
         """Tell the workers that an item of a re-scoring waits, behind every submission that a team waits for.
@@ -138,7 +138,8 @@ class Queue:
     def enqueue_shards(self, submission_id: uuid.UUID, attempt: int, count: int) -> bool:
         """Tell the workers that the images of a submission wait in `count` shards, as one group of messages.
 
-        They queue behind whatever waits: the submission's holder does every shard that no idle worker takes.
+        They queue behind waiting submissions and ahead of resampling and re-scoring. The submission's holder does every
+        shard that no idle worker takes.
 
         Returns:
             False when the broker did not take them; nothing sends them again.

@@ -54,16 +54,16 @@ def check(session: Session, *, team: Team, phase: Phase) -> None:
             )
             raise QuotaExceeded(message, retry_after_s=None)
         message = (
-            f"team {team.slug} has used its {phase.submissions_per_day} submissions to {phase.slug} for 24 hours;"
-            f" the next one is possible in {wait_s} s"
+            f"team {team.slug} has sent what it may to {phase.slug} within 24 hours ({phase.submissions_per_day});"
+            f" the next submission is possible at {_moment(at, wait_s)}"
         )
         raise QuotaExceeded(message, retry_after_s=wait_s)
     rejected = _rejections(session, team.id, phase.id, at)
     if len(rejected) >= phase.rejections_per_day:
-        wait_s = _until_fewer_than(phase.rejections_per_day, [(time, 1) for time in rejected], at)
+        wait_s = _until_fewer_than(phase.rejections_per_day, [(time, 1) for time in rejected], at) or 1
         message = (
             f"{len(rejected)} uploads of team {team.slug} to {phase.slug} were rejected or cancelled within 24 hours;"
-            f" check files with `cs3d validate` before sending them; the next upload is possible in {wait_s} s"
+            f" check files with `cs3d validate` before sending them; the next upload is possible at {_moment(at, wait_s)}"
         )
         raise TooManyRejections(message, retry_after_s=wait_s)
 
@@ -153,6 +153,12 @@ def _rejections(session: Session, team_id: int, phase_id: int, at: datetime) -> 
         Submission.state_changed_at > at - WINDOW,
     )
     return list(session.scalars(query))
+
+
+def _moment(at: datetime, wait_s: int) -> str:
+    """Say when a wait is over, to the minute, never too early."""
+    over = at + timedelta(seconds=wait_s + 59)
+    return f"{over:%Y-%m-%d %H:%M} UTC"
 
 
 def _until_fewer_than(cap: int, counted: Sequence[tuple[datetime, int]], at: datetime) -> int | None:

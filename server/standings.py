@@ -78,11 +78,21 @@ def replicates_of(session: Session, rows: Sequence[LeaderboardRow]) -> dict[uuid
 
     Left out are rows without any, with other resamples than usual, and with too few boxes to trust them.
     """
-    submission_of = {row.score.id: row.submission.id for row in rows}
+    kept = _trusted_of(session, [row.score.id for row in rows])
+    return {row.submission.id: kept[row.score.id] for row in rows if row.score.id in kept}
+
+
+def interval_of(session: Session, score: models.Score) -> Interval | None:
+    """Give the interval of one score's mDS; None where nothing is known of it (yet)."""
+    kept = _trusted_of(session, [score.id])
+    return kept[score.id].intervals[MDS] if kept else None
+
+
+def _trusted_of(session: Session, score_ids: Sequence[int]) -> dict[int, ScoreReplicates]:
     table = models.ScoreReplicates
-    query = sa.select(table.score_id, table.data).where(table.score_id.in_(submission_of), table.data != NONE_POSSIBLE)
-    found = {submission_of[score_id]: ScoreReplicates.from_bytes(data) for score_id, data in session.execute(query)}
-    return {submission: kept for submission, kept in found.items() if _trusted(kept)}
+    query = sa.select(table.score_id, table.data).where(table.score_id.in_(score_ids), table.data != NONE_POSSIBLE)
+    found = {score_id: ScoreReplicates.from_bytes(data) for score_id, data in session.execute(query)}
+    return {score_id: kept for score_id, kept in found.items() if _trusted(kept)}
 
 
 def _trusted(kept: ScoreReplicates) -> bool:

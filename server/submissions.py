@@ -1,16 +1,31 @@
 """What teams do with submissions: send, look at, publish, withdraw, cancel; and maintainers' re-queue."""
 
 import uuid
+from dataclasses import dataclass
+from datetime import datetime
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Session, joinedload, object_session
 
 from server import audit, database, exclusions, integrity, lifecycle, quota
-from server.accounts import checked_slug, checked_text, is_member
+from server.accounts import checked_slug, checked_text, checked_url, is_member
 from server.blobs import Blobs, record_blob
 from server.errors import Forbidden, Held, IdempotencyMismatch, NotFound, NotScored, PhaseClosed
 from server.models import Method, Phase, Publication, Score, Submission, SubmissionState, Team, User
 from server.ranking import Basis, was_in_force
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What a team says of a method; what is empty is not said."""
+
+    name: str = ""
+    description: str = ""
+    paper_url: str = ""
+    code_url: str = ""
+
+
+NOTHING_SAID = Shown()
 
 
 def receive(
@@ -24,13 +39,13 @@ def receive(
     size_bytes: int,
     file_name: str,
     actor: str,
-    method_name: str | None = None,
-    method_description: str = "",
+    shown: Shown = NOTHING_SAID,
     idempotency_key: str | None = None,
 ) -> Submission:
     """Take a submission whose bytes are safe in the blob store; reserve one of the team's quota.
 
-    A method that is new to the team is created with the name and description given, by default its slug.
+    A method that is new to the team is created, with its slug for a name where none is given. One that is known takes
+    what is given and differs, so that nothing a sender says is dropped.
     After the commit, tell the queue: `queue.enqueue(submission.id)`.
 
     Raises:
@@ -38,7 +53,7 @@ def receive(
         PhaseClosed: The phase takes no submissions now.
         QuotaExceeded: The team may not send more now.
         IdempotencyMismatch: The idempotency key was used for another request.
-        InvalidField: A name cannot be used.
+        InvalidField: A name or an address cannot be used.
     """
     if not is_member(session, team_id=team.id, user_id=user.id):
         message = f"{user.email} is not in team {team.slug}; ask a maintainer to add you"
@@ -51,11 +66,10 @@ def receive(
     check_open(session, phase)
     quota.check(session, team=team, phase=phase)
     at = database.now(session)
-    shown = (method_name or method_slug, method_description)
     submission = Submission(
         id=uuid.uuid4(),
         phase=phase,
-        method=_find_or_create_method(session, team, method_slug, shown, actor),
+        method=_described(session, _find_or_create_method(session, team, method_slug, actor), shown, actor),
         team=team,
         user=user,
         predictions_sha256=predictions_sha256,
@@ -111,16 +125,19 @@ def check_open(session: Session, phase: Phase) -> None:
     Raises:
         PhaseClosed: It has no ground truth yet, has not begun or is over.
     """
-    at = database.now(session)
+    if why := why_closed(phase, database.now(session)):
+        raise PhaseClosed(why)
+
+
+def why_closed(phase: Phase, at: datetime) -> str | None:
+    """Say why a phase takes no submissions at a time; None when it does."""
     if phase.ground_truth_id is None:
-        message = f"phase {phase.slug} takes no submissions yet: its ground truth is not imported"
-        raise PhaseClosed(message)
+        return f"phase {phase.slug} takes no submissions yet: its ground truth is not imported"
     if phase.opens_at is not None and at < phase.opens_at:
-        message = f"phase {phase.slug} opens at {phase.opens_at:%Y-%m-%d %H:%M} UTC"
-        raise PhaseClosed(message)
+        return f"phase {phase.slug} opens at {phase.opens_at:%Y-%m-%d %H:%M} UTC"
     if phase.closes_at is not None and at >= phase.closes_at:
-        message = f"phase {phase.slug} closed at {phase.closes_at:%Y-%m-%d %H:%M} UTC"
-        raise PhaseClosed(message)
+        return f"phase {phase.slug} closed at {phase.closes_at:%Y-%m-%d %H:%M} UTC"
+    return None
 
 
 def _blobs_of(session: Session) -> Blobs:
@@ -129,21 +146,32 @@ def _blobs_of(session: Session) -> Blobs:
     return blobs
 
 
-def _find_or_create_method(session: Session, team: Team, slug: str, shown: tuple[str, str], actor: str) -> Method:
+def _find_or_create_method(session: Session, team: Team, slug: str, actor: str) -> Method:
     slug = checked_slug("method", slug)
     found = session.scalar(sa.select(Method).where(Method.team_id == team.id, Method.slug == slug))
     if found:
         return found
-    method = Method(
-        team=team,
-        slug=slug,
-        name=checked_text("method_name", shown[0], max_length=200),
-        description=shown[1].strip(),
-        created_at=database.now(session),
-    )
+    method = Method(team=team, slug=slug, name=slug, created_at=database.now(session))
     session.add(method)
     session.flush()
     audit.record(session, actor=actor, action="method.created", subject=audit.subject_of(method), slug=slug)
+    return method
+
+
+def _described(session: Session, method: Method, shown: Shown, actor: str) -> Method:
+    """Let a method have what its team says of it; what is not said stays."""
+    said = {
+        "name": shown.name and checked_text("method_name", shown.name, max_length=200),
+        "description": shown.description.strip(),
+        "paper_url": shown.paper_url and checked_url("paper_url", shown.paper_url),
+        "code_url": shown.code_url and checked_url("code_url", shown.code_url),
+    }
+    changed = {name: value for name, value in said.items() if value and value != getattr(method, name)}
+    for name, value in changed.items():
+        setattr(method, name, value)
+    if changed:
+        session.flush()
+        audit.record(session, actor=actor, action="method.changed", subject=audit.subject_of(method), **changed)
     return method
 
 

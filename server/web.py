@@ -7,9 +7,10 @@ Everything is wired here and nowhere else: services, routes, error handling, sec
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from http import HTTPStatus
 
 import anyio.to_thread
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 from fastapi.exceptions import RequestValidationError
 from sqlalchemy.exc import DataError
 from starlette.exceptions import HTTPException
@@ -17,10 +18,12 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from evaluator.errors import BenchmarkError
-from server.api import integrity, leaderboards, openapi, problems, sending, submissions, uploads
+from server.api import health, integrity, leaderboards, openapi, problems, sending, submissions, uploads
 from server.api.edge import Web, attach
 from server.api.head import AnswersHead
 from server.api.identity import Identities
+from server.api.methods import answer_wrong_method
+from server.api.parameters import check_parameters
 from server.api.polling import AnswersRepeatedPolls, Polls
 from server.api.spool import UploadGate, UploadLimits
 from server.api.sweeping import swept
@@ -28,7 +31,7 @@ from server.api.watch import Watch
 from server.charts import ChartStore
 from server.pages import routes as pages
 from server.pages.error_page import error_page
-from server.pages.security import HEADERS, SecurityHeaders
+from server.security import HEADERS, SecurityHeaders
 from server.services import Services
 from server.settings import Settings
 
@@ -67,6 +70,7 @@ def create_app(services: Services, *, limits: UploadLimits | None = None) -> Fas
     app.openapi = lambda: openapi.build(app)  # type: ignore[method-assign]  # FastAPI's documented way
     for kind in (BenchmarkError, HTTPException, RequestValidationError, DataError):
         app.add_exception_handler(kind, _on_error)
+    app.add_exception_handler(HTTPStatus.METHOD_NOT_ALLOWED, answer_wrong_method)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_unforeseen)
     app.add_middleware(AnswersHead, own=f"{API}/uploads/")
@@ -91,8 +95,8 @@ def _web(services: Services, limits: UploadLimits) -> Web:
 
 
 def _api() -> APIRouter:
-    router = APIRouter(prefix=API)
-    for part in (sending, submissions, integrity, uploads, leaderboards):
+    router = APIRouter(prefix=API, dependencies=[Depends(check_parameters)])
+    for part in (sending, submissions, integrity, uploads, leaderboards, health):
         router.include_router(part.router)
 
     @router.get("/openapi.json", include_in_schema=False)

@@ -1,8 +1,9 @@
 """The Celery application: `celery -A worker.app worker`, or `cs3d-admin worker`, on any machine with the same settings.
 
 Tasks: `cs3d.evaluate` (a submission's id), `cs3d.shard` (a range of the images of one that another process holds),
-`cs3d.resample` (a score), `cs3d.rescore` (an item of a re-scoring) and `cs3d.sweep`. Every worker also sweeps by itself, so recovery needs no
-scheduler; a scheduler (`celery -A worker.app beat`) is for installations whose workers come and go.
+`cs3d.resample` (a score), `cs3d.rescore` (an item of a re-scoring), `cs3d.sweep` and `cs3d.sweep_files`. Every worker also
+sweeps by itself, so recovery needs no scheduler; a scheduler (`celery -A worker.app beat`) is for installations whose workers
+come and go.
 SIGTERM drains: running submissions are finished, no new ones are taken.
 """
 

@@ -33,7 +33,8 @@ class Oracle(msgspec.Struct, frozen=True, kw_only=True):
     mds: float | None
     """Mean over the classes that have ground truth left; None when none has."""
     gain: float | None
-    """Minus the mean detection score as it is."""
+    """Mean of the gains of these classes. Where the oracle leaves a class without ground truth it is not the difference of
+    the two mDS, which would be that of other classes."""
     classes: tuple[OracleClass, ...]
 
 
@@ -46,12 +47,9 @@ def _run(name: str, change: Callable[[Evaluation], Statistics], evaluation: Eval
     """Change the outcomes, score them, and compare with the scores as they are."""
     before = evaluation.scores
     after = score_by_protocol(change(evaluation), before.signature)
-    return Oracle(
-        name=name,
-        mds=after.mds,
-        gain=_gain(before.mds, after.mds),
-        classes=tuple(_of_class(*pair) for pair in zip(before.classes, after.classes, strict=True)),
-    )
+    classes = tuple(_of_class(*pair) for pair in zip(before.classes, after.classes, strict=True))
+    gains = [one.gain for one in classes if one.gain is not None]
+    return Oracle(name=name, mds=after.mds, gain=sum(gains) / len(gains) if gains else None, classes=classes)
 
 
 def _of_class(before: ClassScore, after: ClassScore) -> OracleClass:

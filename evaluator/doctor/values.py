@@ -19,6 +19,8 @@ def check_scores(score: Float64Array, findings: Findings) -> None:
         score: (N,) of every box that could be read, in whatever range.
         findings: receives the warnings.
     """
+    if not len(score) and not findings.error_count:  # with errors boxes may have been lost to them
+        findings.add(Code.NO_BOXES)
     _check_percent(score, findings)
     if len(score) < FEWEST_BOXES:
         return

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from server import backup as record
 from server import database
-from server.admin.command import Outcome, Subparsers, add
+from server.admin.command import Outcome, Subparsers, add, counted
 from server.services import Services
 
 
@@ -20,7 +20,7 @@ def add_commands(subparsers: Subparsers) -> None:
 def backup(args: argparse.Namespace, services: Services) -> Outcome:
     """Write the whole record and its blobs to a new folder, also while the server works."""
     rows = record.backup(services, args.folder)
-    text = f"Wrote {sum(rows.values())} rows and {rows['blob']} blobs to {args.folder}."
+    text = f"Wrote {_size(rows)} to {args.folder}."
     return Outcome(data={"folder": str(args.folder), "rows": rows}, text=text)
 
 
@@ -29,5 +29,9 @@ def restore(args: argparse.Namespace, services: Services) -> Outcome:
     services.settings.signing_key()
     database.migrate(services.engine)
     rows = record.restore(services, args.folder)
-    text = f"Restored {sum(rows.values())} rows and {rows['blob']} blobs. Next: cs3d-admin check"
+    text = f"Restored {_size(rows)}. Next: cs3d-admin check"
     return Outcome(data={"folder": str(args.folder), "rows": rows}, text=text)
+
+
+def _size(rows: dict[str, int]) -> str:
+    return f"{counted(sum(rows.values()), 'row')} and {counted(rows['blob'], 'blob')}"

@@ -1,17 +1,14 @@
-"""Commands about benchmarks, phases, ground truth and quota."""
+"""Commands about benchmarks, ground truth and quota."""
 
 import argparse
-from datetime import UTC, datetime
 from pathlib import Path
 
 from evaluator.errors import UsageError
-from evaluator.protocol import CITYSCAPES3D, PROTOCOLS
 from server import accounts, quota
 from server import benchmarks as record
-from server.admin.command import Outcome, Subparsers, actor, add
+from server.admin.command import Outcome, Subparsers, actor, add, add_phase, counted, whole_number
+from server.phase_rules import MOST_IN_A_RULE
 from server.services import Services
-
-SHARDS_HELP = "ranges of images that several workers match at once; 1: submissions are scored in one piece"
 
 
 def add_commands(subparsers: Subparsers) -> None:
@@ -20,45 +17,14 @@ def add_commands(subparsers: Subparsers) -> None:
     benchmark.add_argument("benchmark", help="short name for addresses, for example cityscapes3d")
     benchmark.add_argument("--title", required=True)
     benchmark.add_argument("--description", default="")
-    phase = add(subparsers, "create-phase", create_phase)
-    _add_phase(phase)
-    phase.add_argument("--title", required=True)
-    phase.add_argument("--open", action="store_true", help="its ground truth is public, for example val")
-    phase.add_argument("--no-publication", action="store_true", help="no leaderboard: scores stay with their team")
-    phase.add_argument("--opens-at", type=_time, metavar="TIME", help="ISO 8601, UTC unless it says otherwise")
-    phase.add_argument("--closes-at", type=_time, metavar="TIME")
-    phase.add_argument("--submissions-per-day", type=int, default=10, metavar="N")
-    phase.add_argument("--rejections-per-day", type=int, default=50, metavar="N")
-    phase.add_argument("--max-attempts", type=int, default=3, metavar="N", help="workers lost before one fails")
-    phase.add_argument("--shards", type=int, default=1, metavar="N", help=SHARDS_HELP)
-    phase.add_argument("--protocol", choices=sorted(PROTOCOLS), default=CITYSCAPES3D.name)
     ground_truth = add(subparsers, "import-ground-truth", import_ground_truth)
-    _add_phase(ground_truth)
+    add_phase(ground_truth)
     ground_truth.add_argument("source", type=Path, help="folder or zip of <city>_<sequence>_<frame>_gtBbox3d.json")
-    shards = add(subparsers, "set-shards", set_shards)
-    _add_phase(shards)
-    shards.add_argument("shards", type=int, help=SHARDS_HELP)
     grant = add(subparsers, "grant", grant_quota)
-    _add_phase(grant)
+    add_phase(grant)
     grant.add_argument("team")
-    grant.add_argument("count", type=int, help="submissions more than the phase allows")
+    grant.add_argument("count", type=whole_number(1, MOST_IN_A_RULE), help="submissions more than the phase allows")
     grant.add_argument("--reason", required=True, help="kept in the ledger")
-
-
-def _add_phase(parser: argparse.ArgumentParser) -> None:
-    """Add the two arguments that name a phase."""
-    parser.add_argument("benchmark")
-    parser.add_argument("phase")
-
-
-def _time(text: str) -> datetime:
-    """Read a time; one without a zone is UTC."""
-    try:
-        time = datetime.fromisoformat(text)
-    except ValueError as error:
-        message = f"{text!r} is not an ISO 8601 time like 2027-03-01T12:00"
-        raise argparse.ArgumentTypeError(message) from error
-    return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 def create_benchmark(args: argparse.Namespace, services: Services) -> Outcome:
@@ -71,40 +37,6 @@ def create_benchmark(args: argparse.Namespace, services: Services) -> Outcome:
     return Outcome(
         data=data, text=f"Created benchmark {args.benchmark}. Next: cs3d-admin create-phase {args.benchmark} ..."
     )
-
-
-def create_phase(args: argparse.Namespace, services: Services) -> Outcome:
-    """Create a phase; it takes submissions once it has ground truth."""
-    with services.transaction() as session:
-        phase = record.create_phase(
-            session,
-            benchmark=record.find_benchmark(session, args.benchmark),
-            slug=args.phase,
-            title=args.title,
-            protocol=args.protocol,
-            is_open=args.open,
-            allows_publication=not args.no_publication,
-            opens_at=args.opens_at,
-            closes_at=args.closes_at,
-            submissions_per_day=args.submissions_per_day,
-            rejections_per_day=args.rejections_per_day,
-            max_attempts=args.max_attempts,
-            shards=args.shards,
-            actor=actor(),
-        )
-        data = {"id": phase.id, "benchmark": args.benchmark, "phase": phase.slug, "protocol": phase.protocol}
-    place = f"{args.benchmark} {args.phase}"
-    return Outcome(data=data, text=f"Created phase {args.phase}. Next: cs3d-admin import-ground-truth {place} FOLDER")
-
-
-def set_shards(args: argparse.Namespace, services: Services) -> Outcome:
-    """Choose into how many ranges of images the submissions of a phase are divided."""
-    with services.transaction() as session:
-        phase = record.find_phase(session, args.benchmark, args.phase)
-        record.set_shards(session, phase, args.shards, actor=actor())
-    data = {"benchmark": args.benchmark, "phase": args.phase, "shards": args.shards}
-    text = f"Submissions to {args.benchmark}/{args.phase} are scored in {args.shards} shards from their next claim on."
-    return Outcome(data=data, text=text)
 
 
 def import_ground_truth(args: argparse.Namespace, services: Services) -> Outcome:
@@ -128,7 +60,8 @@ def import_ground_truth(args: argparse.Namespace, services: Services) -> Outcome
         }
     place = f"{args.benchmark} {args.phase} --version {data['version']}"
     standing = "in force" if in_force else f"not in force yet. Next: cs3d-admin rescore start {place}"
-    text = f"Imported version {version.version}: {version.image_count} images, {version.box_count} boxes; {standing}"
+    size = f"{counted(data['images'], 'image')}, {counted(data['boxes'], 'box', 'boxes')}"
+    text = f"Imported version {data['version']}: {size}; {standing}"
     return Outcome(data=data, text=text)
 
 

@@ -3,7 +3,7 @@
 import argparse
 
 from server import checker
-from server.admin.command import REFUSED, Outcome, Subparsers, add, table
+from server.admin.command import REFUSED, Outcome, Subparsers, add, counted, table
 from server.services import Services
 
 
@@ -22,7 +22,7 @@ def check(args: argparse.Namespace, services: Services) -> Outcome:
         return Outcome(data=data, text="Every promise of the record holds.")
     return Outcome(
         data=data,
-        text=f"{len(rows)} promises do not hold.",
+        text=counted(len(rows), "promise does", "promises do") + " not hold.",
         tables=[table("rule", "subject", "detail", rows=rows)],
         status=REFUSED,
     )

@@ -6,12 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from rich.cells import cell_len
 from rich.table import Table
+from rich.text import Text
 
 from server.services import Services
 
 DONE, REFUSED, WRONG_USAGE = 0, 1, 2
 """Exit statuses."""
+
+MOST = 2**31 - 1
+"""The largest number of a column; ids are no larger."""
+
+LAST_PORT = 65535
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +56,37 @@ def add(subparsers: Subparsers, name: str, run: Run, *, needs_tables: bool = Tru
     return parser
 
 
+def add_phase(parser: argparse.ArgumentParser) -> None:
+    """Add the two arguments that name a phase."""
+    parser.add_argument("benchmark")
+    parser.add_argument("phase")
+
+
+def whole_number(least: int, most: int = MOST) -> Callable[[str], int]:
+    """Make what reads a whole number of an option; another one is wrong usage."""
+
+    def read(text: str) -> int:
+        try:
+            number = int(text)
+        except ValueError:
+            number = least - 1
+        if not least <= number <= most:
+            message = f"{text!r} is not a whole number from {least} to {most}"
+            raise argparse.ArgumentTypeError(message)
+        return number
+
+    return read
+
+
+port_number = whole_number(1, LAST_PORT)
+"""Reads a TCP port."""
+
+
+def counted(number: int, thing: str, things: str | None = None) -> str:
+    """Write how many there are: `1 member`, `2 members`; `things` where it is not `thing` with an s."""
+    return f"{number} {thing if number == 1 else things or thing + 's'}"
+
+
 def actor() -> str:
     """Name who runs the command, for the audit trail."""
     return f"admin:{getpass.getuser()}"
@@ -61,7 +99,16 @@ def table(*columns: str, rows: Sequence[Sequence[object]]) -> Table:
         numeric = any(isinstance(row[position], int | float) for row in rows)
         result.add_column(column, justify="right" if numeric else "left", no_wrap=numeric, overflow="fold")
     for row in rows:
-        result.add_row(*map(_cell, row))
+        result.add_row(*(Text(_cell(value)) for value in row))  # text: a name may look like markup
+    return result
+
+
+def lines(*columns: str, rows: Sequence[Sequence[object]]) -> Table:
+    """Make a table with one line for each row, however long: values stay whole for copying and for grep."""
+    result = table(*columns, rows=rows)
+    # As wide as its values, not as the terminal: rich leaves out what does not fit.
+    widths = [max(cell_len(str(cell)) for cell in (column.header, *column.cells)) for column in result.columns]
+    result.width = sum(widths) + len(widths) - 1
     return result
 
 

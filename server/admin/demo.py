@@ -14,7 +14,7 @@ from rich.table import Table
 from evaluator.protocol import EVALUATED_LABELS
 from server import database, embedded
 from server.admin import demo_benchmark, demo_uploads
-from server.admin.command import Outcome, Subparsers, add, table
+from server.admin.command import LAST_PORT, Outcome, Subparsers, add, port_number, table
 from server.admin.installation import until_asked_to_stop
 from server.services import Services
 from server.settings import Settings
@@ -27,7 +27,7 @@ def add_commands(subparsers: Subparsers) -> None:
     """Add the command."""
     parser = add(subparsers, "demo", demo, needs_tables=False)
     parser.set_defaults(data_dir="data/demo")
-    parser.add_argument("--port", type=int, default=8000, help="port to listen on (default: %(default)s)")
+    parser.add_argument("--port", type=port_number, default=8000, help="port to listen on (default: %(default)s)")
     parser.add_argument("--exit", action="store_true", help="stop after the leaderboard instead of serving")
 
 
@@ -118,7 +118,7 @@ def _print_now(outcome: Outcome) -> None:
 
 def _free_port(wanted: int, console: Console) -> int:
     """Choose the port asked for, or when it is taken the next that is free."""
-    for port in range(wanted, wanted + 100):
+    for port in range(wanted, min(wanted + 100, LAST_PORT + 1)):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from typing import Never
 
 from server import database, embedded
-from server.admin.command import Outcome, Subparsers, add
+from server.admin.command import Outcome, Subparsers, add, port_number, whole_number
 from server.errors import Conflict
 from server.services import Services
 from server.settings import Settings
@@ -20,9 +20,10 @@ def add_commands(subparsers: Subparsers) -> None:
     add(subparsers, "migrate", migrate, needs_tables=False)
     serving = add(subparsers, "serve", serve, needs_tables=False)
     serving.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
-    serving.add_argument("--port", type=int, default=8000, help="port to listen on (default: %(default)s)")
+    serving.add_argument("--port", type=port_number, default=8000, help="port to listen on (default: %(default)s)")
     working = add(subparsers, "worker", worker, needs_tables=False)
-    working.add_argument("--concurrency", type=int, metavar="N", help="submissions at a time (default: one per core)")
+    at_a_time = "submissions at a time (default: CS3D_WORKER_CONCURRENCY)"
+    working.add_argument("--concurrency", type=whole_number(1), metavar="N", help=at_a_time)
 
 
 def init(args: argparse.Namespace, services: Services) -> Outcome:

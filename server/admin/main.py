@@ -15,7 +15,18 @@ import structlog
 from rich.console import Console
 
 from evaluator.errors import BenchmarkError
-from server.admin import backups, benchmarks, checking, demo, installation, people, rescoring, submissions
+from server.admin import (
+    backups,
+    benchmarks,
+    checking,
+    demo,
+    installation,
+    people,
+    phases,
+    rescoring,
+    submissions,
+    trail,
+)
 from server.admin.command import REFUSED, WRONG_USAGE, Outcome
 from server.errors import Conflict
 from server.services import Services
@@ -28,7 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="cs3d-admin", description="Run a Cityscapes 3D benchmark server. Settings: docs/operating.md."
     )
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for part in (installation, people, benchmarks, submissions, rescoring, checking, backups, demo):
+    for part in (installation, people, benchmarks, phases, submissions, rescoring, trail, checking, backups, demo):
         part.add_commands(subparsers)
     return parser
 

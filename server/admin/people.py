@@ -6,8 +6,12 @@ import sys
 from datetime import UTC, datetime, timedelta
 
 from server import accounts
-from server.admin.command import Outcome, Subparsers, actor, add, table
+from server.admin.command import Outcome, Subparsers, actor, add, counted, table, whole_number
+from server.admin.listing import listing
 from server.services import Services
+
+MOST_DAYS = 36_500
+"""A century."""
 
 
 def add_commands(subparsers: Subparsers) -> None:
@@ -22,6 +26,9 @@ def add_commands(subparsers: Subparsers) -> None:
     renewed.add_argument("--password-stdin", action="store_true", help="read the password from standard input")
     disabled = add(subparsers, "disable-user", disable_user)
     disabled.add_argument("email")
+    enabled = add(subparsers, "enable-user", enable_user)
+    enabled.add_argument("email")
+    add(subparsers, "list-users", list_users)
     team = add(subparsers, "create-team", create_team)
     team.add_argument("team", help="short name for addresses: letters, digits, hyphens")
     team.add_argument("--name", required=True, help="as shown on leaderboards")
@@ -32,15 +39,17 @@ def add_commands(subparsers: Subparsers) -> None:
     removed = add(subparsers, "remove-member", remove_member)
     removed.add_argument("team")
     removed.add_argument("email")
+    add(subparsers, "list-teams", list_teams)
     token = add(subparsers, "create-token", create_token)
     token.add_argument("email", help="who it acts for")
     token.add_argument("team", help="for which of that user's teams")
     token.add_argument("--name", default="cs3d-admin", help="what it is for")
-    token.add_argument("--days", type=int, metavar="N", help="ends after N days (default: never)")
+    days = whole_number(1, MOST_DAYS)
+    token.add_argument("--days", type=days, metavar="N", help="ends after N days (default: never)")
     listed = add(subparsers, "list-tokens", list_tokens)
     listed.add_argument("email")
     revoked = add(subparsers, "revoke-token", revoke_token)
-    revoked.add_argument("token", type=int, metavar="ID", help="as list-tokens shows it")
+    revoked.add_argument("token", type=whole_number(1), metavar="ID", help="as list-tokens shows it")
 
 
 def create_user(args: argparse.Namespace, services: Services) -> Outcome:
@@ -80,6 +89,40 @@ def disable_user(args: argparse.Namespace, services: Services) -> Outcome:
     return Outcome(data={"email": args.email, "disabled": True}, text=f"{args.email} has no access any more.")
 
 
+def enable_user(args: argparse.Namespace, services: Services) -> Outcome:
+    """Give a disabled user access again: password and tokens work as before, login sessions stay ended."""
+    with services.transaction() as session:
+        user = accounts.find_user(session, args.email)
+        was_disabled = user.disabled_at is not None
+        accounts.enable_user(session, user, actor=actor())
+        working = sum(defect is None for defect in accounts.defects_of(session, user).values())
+    data = {"email": args.email, "disabled": False, "was_disabled": was_disabled, "working_tokens": working}
+    text = f"{args.email} was not disabled; nothing was changed."
+    if was_disabled:
+        text = f"{args.email} has access again, with the password and {counted(working, 'token')} of before."
+        text += f" In wrong hands? cs3d-admin set-password {args.email}, cs3d-admin list-tokens {args.email}"
+    return Outcome(data=data, text=text)
+
+
+def list_users(args: argparse.Namespace, services: Services) -> Outcome:
+    """List every user with their teams."""
+    del args
+    with services.snapshot() as session:
+        rows = [
+            {
+                "id": user.id,
+                "email": user.email,
+                "name": user.name,
+                "teams": sorted(membership.team.slug for membership in user.memberships),
+                "maintainer": user.is_maintainer,
+                "created_at": user.created_at,
+                "disabled_at": user.disabled_at,
+            }
+            for user in accounts.list_users(session)
+        ]
+    return listing("users", rows)
+
+
 def _password(args: argparse.Namespace) -> str:
     """Read or generate a password."""
     return sys.stdin.readline().rstrip("\n") if args.password_stdin else secrets.token_urlsafe(12)
@@ -91,7 +134,7 @@ def create_team(args: argparse.Namespace, services: Services) -> Outcome:
         members = [accounts.find_user(session, email) for email in args.member]
         team = accounts.create_team(session, slug=args.team, name=args.name, members=members, actor=actor())
         data = {"id": team.id, "team": team.slug, "name": team.name, "members": [user.email for user in members]}
-    return Outcome(data=data, text=f"Created team {args.team} with {len(args.member)} members.")
+    return Outcome(data=data, text=f"Created team {args.team} with {counted(len(members), 'member')}.")
 
 
 def add_member(args: argparse.Namespace, services: Services) -> Outcome:
@@ -111,6 +154,23 @@ def remove_member(args: argparse.Namespace, services: Services) -> Outcome:
     return Outcome(data={"team": args.team, "email": args.email}, text=f"{args.email} is not in team {args.team} now.")
 
 
+def list_teams(args: argparse.Namespace, services: Services) -> Outcome:
+    """List every team with its members."""
+    del args
+    with services.snapshot() as session:
+        rows = [
+            {
+                "id": team.id,
+                "team": team.slug,
+                "name": team.name,
+                "created_at": team.created_at,
+                "members": sorted(membership.user.email for membership in team.memberships),
+            }
+            for team in accounts.list_teams(session)
+        ]
+    return listing("teams", rows)
+
+
 def create_token(args: argparse.Namespace, services: Services) -> Outcome:
     """Create an API token of a user for a team; it is shown once."""
     expires_at = datetime.now(UTC) + timedelta(days=args.days) if args.days is not None else None
@@ -128,12 +188,20 @@ def create_token(args: argparse.Namespace, services: Services) -> Outcome:
 
 
 def list_tokens(args: argparse.Namespace, services: Services) -> Outcome:
-    """List a user's API tokens that were not revoked; their secrets are not kept."""
-    columns = ("id", "team", "name", "created", "expires")
+    """List a user's API tokens that were not revoked, and which of them do not work; their secrets are not kept."""
+    columns = ("id", "team", "name", "created", "expires", "state")
     with services.snapshot() as session:
         user = accounts.find_user(session, args.email)
+        defects = accounts.defects_of(session, user)
         rows = [
-            [token.id, token.team.slug, token.name, _day(token.created_at), _day(token.expires_at)]
+            [
+                token.id,
+                token.team.slug,
+                token.name,
+                _day(token.created_at),
+                _day(token.expires_at),
+                defects[token.id] or "works",
+            ]
             for token in accounts.tokens_of(session, user)
         ]
     data = {"tokens": [dict(zip(columns, row, strict=True)) for row in rows]}

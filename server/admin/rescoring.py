@@ -13,7 +13,7 @@ from evaluator.errors import UsageError
 from evaluator.protocol import PROTOCOLS
 from server import benchmarks, rescoring_decisions, submissions
 from server import rescoring as record
-from server.admin.command import DONE, REFUSED, Outcome, Subparsers, actor, add, table
+from server.admin.command import DONE, REFUSED, Outcome, Subparsers, actor, add, add_phase, counted, table, whole_number
 from server.models import Phase
 from server.rank_changes import RankChanges, rank_changes
 from server.ranking import Basis
@@ -30,7 +30,9 @@ def add_commands(subparsers: Subparsers) -> None:
     starting = _add(actions, "start", start)
     which = starting.add_mutually_exclusive_group()
     which.add_argument("--ground-truth", type=Path, metavar="SOURCE", help="folder or zip to import as a version")
-    which.add_argument("--version", type=int, metavar="N", help="of the ground truth (default: the one in force)")
+    which.add_argument(
+        "--version", type=whole_number(1), metavar="N", help="of the ground truth (default: the one in force)"
+    )
     starting.add_argument("--protocol", choices=sorted(PROTOCOLS), help="default: the one in force")
     _add(actions, "status", status)
     _add(actions, "diff", diff)
@@ -46,8 +48,7 @@ def add_commands(subparsers: Subparsers) -> None:
 def _add(actions: Subparsers, name: str, run: Any) -> argparse.ArgumentParser:  # noqa: ANN401 - as in command.add
     """Add an action on a phase."""
     parser = add(actions, name, run)
-    parser.add_argument("benchmark")
-    parser.add_argument("phase")
+    add_phase(parser)
     return parser
 
 
@@ -72,9 +73,8 @@ def start(args: argparse.Namespace, services: Services) -> Outcome:
         basis = record.describe(session, Basis.of(rescoring))
     data = {"rescoring": rescoring.id, "basis": basis, "items": len(items), "sent": _send(services, items)}
     place = f"{args.benchmark} {args.phase}"
-    return Outcome(
-        data=data, text=f"{len(items)} submissions are scored again. Next: cs3d-admin rescore status {place}"
-    )
+    begun = counted(len(items), "submission is", "submissions are")
+    return Outcome(data=data, text=f"{begun} scored again. Next: cs3d-admin rescore status {place}")
 
 
 def _send(services: Services, items: Iterable[int]) -> bool:

@@ -12,12 +12,13 @@ from evaluator.integrity import IntegrityAudit
 from evaluator.report import Report
 from evaluator.results import Scores
 
+Stage = Literal["validating", "scoring"]
+
 
 class Progress(msgspec.Struct, frozen=True, kw_only=True):
     """What the worker is doing."""
 
-    stage: str
-    """`validating`, `scoring` or `recording`."""
+    stage: Stage
     images_done: int
     images_total: int
 
@@ -71,6 +72,8 @@ class SubmissionDocument(msgspec.Struct, frozen=True, kw_only=True):
     report: Report | None
     """What was found in the predictions, once they are validated; for the team and maintainers."""
     mds: float | None
+    signature: str | None
+    """What the mDS depends on; null before there is one."""
     links: Links
 
 
@@ -134,6 +137,8 @@ class LeaderboardRow(msgspec.Struct, frozen=True, kw_only=True):
     """Equal scores share a rank; null for an undefined mDS, which is listed last."""
     method: str
     method_name: str
+    paper_url: str | None
+    code_url: str | None
     team: str
     team_name: str
     submission_id: str
@@ -220,6 +225,12 @@ class ImagesDocument(msgspec.Struct, frozen=True, kw_only=True):
     """3 rows of 4: the ISO 8855 vehicle frame to the camera frame."""
 
 
+class HealthDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """The server can do its work."""
+
+    status: Literal["ok"]
+
+
 EXPOSED = (
     SubmissionDocument,
     SubmissionList,
@@ -229,5 +240,6 @@ EXPOSED = (
     UploadDocument,
     IntegrityAudit,
     ImagesDocument,
+    HealthDocument,
 )
 """Every type an endpoint answers with, for OpenAPI."""

@@ -1,22 +1,33 @@
 """What only the web face refuses: the transport of an upload, and requests that are not well-formed.
 
-ServerError                        (server/errors.py)
-├── MalformedRequest               400  malformed_request
-├── MissingToken                   401  not_authenticated   (NotAuthenticated)
-├── CsrfFailed                     403  csrf_failed
-├── MethodNotAllowed               405  method_not_allowed
-├── UploadTimeout                  408  upload_timeout
-├── LengthRequired                 411  length_required
-├── OffsetConflict                 409  offset_mismatch
-├── UploadTooLarge                 413  too_large           (TooLarge)
-├── UnsupportedMediaType           415  unsupported_media_type
-├── ValidationFailed               422  invalid_request
-├── ArchiveRefused                 422  archive_refused
-├── DigestMismatch                 422  digest_mismatch
-├── TooManyRequests                429  too_many_requests
-├── TooManyUploads                 503  too_many_uploads    (Unavailable)
-│   └── TooManyOwnUploads          503  too_many_own_uploads
-└── DiskFull                       507  storage_full        (StorageFull)
+    ServerError                    500  internal_error         server/errors.py
+    ├── MalformedRequest           400  malformed_request
+    ├── MethodNotAllowed           405  method_not_allowed
+    ├── UploadTimeout              408  upload_timeout
+    ├── LengthRequired             411  length_required
+    ├── UnsupportedMediaType       415  unsupported_media_type
+    ├── ValidationFailed           422  invalid_request
+    ├── ArchiveRefused             422  archive_refused
+    ├── DigestMismatch             422  digest_mismatch
+    ├── TooManyRequests            429  too_many_requests
+    ├── NotAuthenticated           401  not_authenticated      server/errors.py
+    │   └── MissingToken           401  not_authenticated
+    ├── Forbidden                  403  forbidden              server/errors.py
+    │   └── CsrfFailed             403  csrf_failed
+    ├── NotFound                   404  not_found              server/errors.py
+    │   └── UnknownPath            404  not_found
+    ├── Conflict                   409  conflict               server/errors.py
+    │   ├── OffsetConflict         409  offset_mismatch
+    │   └── UploadBusy             409  upload_busy
+    ├── TooLarge                   413  too_large              server/errors.py
+    │   └── UploadTooLarge         413  too_large
+    ├── Unavailable                503  unavailable            server/errors.py
+    │   └── TooManyUploads         503  too_many_uploads
+    │       └── TooManyOwnUploads  503  too_many_own_uploads
+    └── StorageFull                507  storage_full           server/errors.py
+        └── DiskFull               507  storage_full
+
+Classes of server/errors.py stand here for those that come from them.
 """
 
 import msgspec

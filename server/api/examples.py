@@ -32,6 +32,7 @@ SUBMISSION: dict[str, Any] = {
     "failure": None,
     "report": None,
     "mds": None,
+    "signature": None,
     "links": LINKS,
 }
 
@@ -44,6 +45,8 @@ LEADERBOARD: dict[str, Any] = {
             "rank": 1,
             "method": "mono-baseline",
             "method_name": "Mono baseline",
+            "paper_url": "https://example.org/paper",
+            "code_url": None,
             "team": "example-team",
             "team_name": "Example team",
             "submission_id": SUBMISSION_ID,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from http import HTTPMethod
 
 import itsdangerous
-from limits import RateLimitItem, RateLimitItemPerMinute
+from limits import RateLimitItemPerMinute
 from limits.storage import MemoryStorage
 from limits.strategies import MovingWindowRateLimiter
 from sqlalchemy.orm import Session
@@ -164,15 +164,15 @@ class Identities:
             samesite="lax",
         )
 
-    def check_rate(self, purpose: str, address: str, limit: RateLimitItem = FAILURES_PER_MINUTE) -> None:
+    def check_rate(self, purpose: str, address: str) -> None:
         """Refuse an address with too many failures behind it."""
-        if not self._failures.test(limit, purpose, address):
-            reset_s = self._failures.get_window_stats(limit, purpose, address).reset_time - time.time()
+        if not self._failures.test(FAILURES_PER_MINUTE, purpose, address):
+            reset_s = self._failures.get_window_stats(FAILURES_PER_MINUTE, purpose, address).reset_time - time.time()
             raise TooManyRequests(retry_after_s=max(1, math.ceil(reset_s)))
 
-    def count_failure(self, purpose: str, address: str, limit: RateLimitItem = FAILURES_PER_MINUTE) -> None:
+    def count_failure(self, purpose: str, address: str) -> None:
         """Remember a failure of an address."""
-        self._failures.hit(limit, purpose, address)
+        self._failures.hit(FAILURES_PER_MINUTE, purpose, address)
 
     def _check_token(self, session: Session, secret: str, address: str) -> Token:
         try:

@@ -136,12 +136,17 @@ def csv_of(document: documents.LeaderboardDocument) -> bytes:
     writer = csv.writer(text)
     writer.writerow([*_ROW, *_MEANS, *(f"{label}_{metric}" for label in labels for metric in metrics), *_STANDING])
     for row in document.rows:
-        facts = [_inert(str(value)) if value is not None else "" for value in map(row.__getattribute__, _ROW)]
+        facts = [_inert(_written(value)) for value in map(row.__getattribute__, _ROW)]
         means = [row.__getattribute__(name) for name in _MEANS]
         classes = [getattr(row.classes[label], metric) for label in labels for metric in metrics]
         standing = [*(row.mds_interval or ("", "")), *(row.rank_interval or ("", "")), " ".join(row.groups)]
         writer.writerow([*facts, *means, *classes, *standing])
     return text.getvalue().encode()
+
+
+def _written(value: object) -> str:
+    """Write a fact as JSON does, times included; undefined is empty."""
+    return "" if value is None else str(msgspec.to_builtins(value))
 
 
 def _inert(text: str) -> str:

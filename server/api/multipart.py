@@ -4,17 +4,18 @@ The file part goes straight to the spool; the other fields are small and kept in
 (boundaries, headers, what stands after the closing boundary) counts against one cap together with them.
 """
 
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Collection, Mapping
 from dataclasses import dataclass, field
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 
-from server.api.errors import MalformedRequest, UnsupportedMediaType
+from server.api.errors import InvalidValue, MalformedRequest, UnsupportedMediaType, ValidationFailed
 from server.api.spool import FORM_OVERHEAD_BYTES, Spool
 
 MAX_PARTS = 24
 MAX_FIELD_BYTES = 64 << 10
+_SHOWN_CHARACTERS = 64
 
 
 @dataclass(slots=True)
@@ -52,11 +53,19 @@ def boundary_of(content_type: str) -> bytes:
 class FormReader:
     """Reads one form; the part named `file_field` is written to `spool`."""
 
-    def __init__(self, boundary: bytes, spool: Spool, *, file_field: str) -> None:
-        """Begin a form."""
+    def __init__(self, boundary: bytes, spool: Spool, *, file_field: str, known: Collection[str]) -> None:
+        """Begin a form.
+
+        Args:
+            boundary: What stands between its parts.
+            spool: Where its file goes.
+            file_field: Name of the part that is the file.
+            known: Names of the other parts there may be.
+        """
         self.form = Form()
         self._spool = spool
         self._file_field = file_field
+        self._known = known
         self._header_name = bytearray()
         self._header_value = bytearray()
         self._headers: dict[str, str] = {}
@@ -87,6 +96,7 @@ class FormReader:
 
         Raises:
             MalformedRequest: It is not a form, ends early, or breaks a cap.
+            ValidationFailed: It has a part of another name than it may.
         """
         async for chunk in stream:
             await self.feed(chunk)
@@ -107,6 +117,7 @@ class FormReader:
 
         Raises:
             MalformedRequest: It is not a form, or breaks a cap.
+            ValidationFailed: It has a part of another name than it may.
             UploadTooLarge: The archive is larger than the server takes.
         """
         try:
@@ -144,12 +155,19 @@ class FormReader:
             raise MalformedRequest("A part of the form has no name; write `Content-Disposition: form-data; name=...`.")
         if name in self._names:
             raise MalformedRequest(f"The form has more than one part named {name!r}; send it once.")
+        self._refuse_unknown(name)
         self._names.add(name)
         if len(self._names) > MAX_PARTS:
             raise MalformedRequest(f"The form has more than {MAX_PARTS} parts.")
         if name == self._file_field:
             self.form.file_name = file_name or ""
         self._part = _Part(name, file_name)
+
+    def _refuse_unknown(self, name: str) -> None:
+        if name == self._file_field or name in self._known:
+            return
+        there = f"the archive's part is called {self._file_field}, the other fields are {', '.join(self._known)}"
+        raise ValidationFailed((InvalidValue(f"body/{name[:_SHOWN_CHARACTERS]}", f"there is no such field; {there}"),))
 
     def _add_data(self, data: bytes, start: int, end: int) -> None:
         part = self._part

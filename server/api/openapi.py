@@ -57,6 +57,8 @@ def _finish_operation(operation: dict[str, Any]) -> None:
         description = responses["422"]["description"] if documented else "Values of the request cannot be used."
         content = {MEDIA_TYPE: documented} if documented else _PROBLEM
         responses["422"] = {"description": description, "content": content}
+    # Every address refuses parameters it does not have (server/api/parameters.py).
+    responses.setdefault("422", {"description": "Values of the request cannot be used.", "content": _PROBLEM})
     operation["security"] = [{"token": []}, {}]
     responses.setdefault("500", unforeseen)
     away = {

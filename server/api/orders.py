@@ -6,7 +6,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field, ValidationError
 
+from server.accounts import MAX_URL_CHARACTERS
 from server.api.errors import InvalidValue, ValidationFailed
+from server.submissions import Shown
 
 MAX_TEXT_CHARACTERS = 200
 MAX_DESCRIPTION_CHARACTERS = 10_000
@@ -14,6 +16,7 @@ MAX_DESCRIPTION_CHARACTERS = 10_000
 REQUIRED = ("benchmark", "phase", "method")
 
 Text = Annotated[str | None, Field(max_length=MAX_TEXT_CHARACTERS)]
+Url = Annotated[str | None, Field(max_length=MAX_URL_CHARACTERS)]
 
 
 class OrderFields(BaseModel):
@@ -24,6 +27,8 @@ class OrderFields(BaseModel):
     method: Text = None
     method_name: Text = None
     description: Annotated[str, Field(max_length=MAX_DESCRIPTION_CHARACTERS)] = ""
+    paper_url: Url = None
+    code_url: Url = None
     file_name: Text = None
     team: Text = None
 
@@ -48,8 +53,7 @@ class Order:
     benchmark: str
     phase: str
     method: str
-    method_name: str | None = None
-    description: str = ""
+    shown: Shown
     file_name: str = "predictions.zip"
     team: str | None = None
     """Slug; needed by users of several teams who send without a token."""
@@ -74,8 +78,12 @@ def order_of(fields: OrderFields, idempotency_key: str | None = None, *, file_na
         benchmark=fields.benchmark or "",
         phase=fields.phase or "",
         method=fields.method or "",
-        method_name=fields.method_name or None,
-        description=fields.description,
+        shown=Shown(
+            name=fields.method_name or "",
+            description=fields.description,
+            paper_url=fields.paper_url or "",
+            code_url=fields.code_url or "",
+        ),
         file_name=fields.file_name or file_name or "predictions.zip",
         team=fields.team or None,
         idempotency_key=idempotency_key,

@@ -26,7 +26,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from server import database
 from server.models import Membership, Phase, Score, Submission, Token, User
-from server.pages.security import headers_of
+from server.security import headers_of
 from server.services import Services
 
 log = structlog.get_logger(__name__)

@@ -20,7 +20,7 @@ from starlette.responses import Response
 from evaluator.errors import BenchmarkError
 from evaluator.report import Report
 from server.api.errors import InvalidValue, MalformedRequest, MethodNotAllowed, UnknownPath, ValidationFailed
-from server.errors import InvalidField, ServerError
+from server.errors import InvalidField, LeaseLost, ServerError
 
 log = structlog.get_logger(__name__)
 
@@ -118,14 +118,17 @@ def unforeseen(request: Request, exception: Exception) -> ProblemDocument:
 
 
 def all_errors() -> dict[str, type[BenchmarkError]]:
-    """List every code the server may answer with and the class that explains it, by code."""
+    """List every code the server may answer with and the class that explains it, by code.
+
+    `LeaseLost` and what belongs to it never leave the worker.
+    """
     found: dict[str, type[BenchmarkError]] = {}
     waiting: list[type[BenchmarkError]] = [ServerError]
     while waiting:
         kind = waiting.pop(0)
         if "code" in vars(kind):
             found[kind.code] = kind
-        waiting.extend(kind.__subclasses__())
+        waiting.extend(one for one in kind.__subclasses__() if one is not LeaseLost)
     return dict(sorted(found.items()))
 
 

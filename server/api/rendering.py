@@ -53,8 +53,14 @@ def submission_document(submission: Submission, blobs: Blobs, *, owned: bool) ->
         failure=_failure(submission) if owned else None,
         report=report_of(submission, blobs) if owned else None,
         mds=shown.mds if shown else None,
+        signature=_signature_of(shown) if shown else None,
         links=links_of(submission),
     )
+
+
+def _signature_of(score: Score) -> str:
+    """Print what a score depends on."""
+    return str(msgspec.convert(score.summary["signature"], Signature))
 
 
 def submission_list(session: Session, submissions: list[Submission]) -> documents.SubmissionList:
@@ -117,7 +123,7 @@ def history_of(submission: Submission) -> list[documents.ScoreEntry]:
         documents.ScoreEntry(
             id=score.id,
             mds=score.mds,
-            signature_text=str(msgspec.convert(score.summary["signature"], Signature)),
+            signature_text=_signature_of(score),
             created_at=score.created_at,
             ranks=score is ranking and (score.protocol, score.ground_truth_id) == in_force,
         )
@@ -155,16 +161,20 @@ def _progress(submission: Submission) -> documents.Progress | None:
     if submission.stage is None or submission.state.terminal:
         return None
     return documents.Progress(
-        stage=submission.stage, images_done=submission.images_done, images_total=submission.images_total
+        stage=msgspec.convert(submission.stage, documents.Stage),
+        images_done=submission.images_done,
+        images_total=submission.images_total,
     )
 
 
 def _predictions(submission: Submission, *, owned: bool) -> documents.PredictionsFile:
     session = object_session(submission)
-    blob = session.get(Blob, submission.predictions_sha256) if session else None
+    if session is None:
+        raise AssertionError("a submission is described within its session")
+    blob = session.get_one(Blob, submission.predictions_sha256)
     return documents.PredictionsFile(
         sha256=submission.predictions_sha256,
-        size_bytes=blob.size_bytes if blob else 0,
+        size_bytes=blob.size_bytes,
         file_name=submission.file_name if owned else None,
     )
 
@@ -196,6 +206,8 @@ def _row(row: LeaderboardRow, standing: Standing) -> documents.LeaderboardRow:
         rank=row.rank,
         method=row.method.slug,
         method_name=row.method.name,
+        paper_url=row.method.paper_url,
+        code_url=row.method.code_url,
         team=row.team.slug,
         team_name=row.team.name,
         submission_id=str(row.submission.id),
@@ -205,7 +217,7 @@ def _row(row: LeaderboardRow, standing: Standing) -> documents.LeaderboardRow:
         groups=standing.groups,
         **means,
         created_at=row.submission.created_at,
-        signature=str(msgspec.convert(row.summary["signature"], Signature)),
+        signature=_signature_of(row.score),
         classes={one["label"]: msgspec.convert(one, documents.ClassSummary) for one in row.summary["classes"]},
         links=links_of(row.submission),
     )

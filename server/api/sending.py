@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from server import accounts, benchmarks, submissions
+from server.accounts import MAX_URL_CHARACTERS
 from server.api import documents, errors, examples, receiving, rendering
 from server.api.digests import announced_sha256, check_sha256
 from server.api.edge import (
@@ -41,7 +42,7 @@ from server.errors import (
     TooManyRejections,
     Unavailable,
 )
-from server.models import Submission
+from server.models import Submission, SubmissionState
 
 router = APIRouter(prefix="/submissions", tags=["submissions"])
 
@@ -59,12 +60,17 @@ _BODY: dict[str, Any] = {
             "schema": {
                 "type": "object",
                 "required": [*REQUIRED, "predictions"],
+                "additionalProperties": False,
                 "properties": {
                     "benchmark": _TEXT,
                     "phase": _TEXT,
                     "method": {**_TEXT, "description": "Slug; a new one makes a new method of your team"},
                     "method_name": {"type": "string", "maxLength": MAX_TEXT_CHARACTERS},
                     "description": {"type": "string", "maxLength": MAX_DESCRIPTION_CHARACTERS},
+                    "paper_url": {"type": "string", "maxLength": MAX_URL_CHARACTERS},
+                    "code_url": {"type": "string", "maxLength": MAX_URL_CHARACTERS},
+                    "file_name": {"type": "string", "maxLength": MAX_TEXT_CHARACTERS},
+                    "team": {"type": "string", "maxLength": MAX_TEXT_CHARACTERS},
                     "predictions": {"type": "string", "format": "binary"},
                 },
             }
@@ -209,7 +215,7 @@ async def receive_form(request: Request, web: Web, asker: Credentials, fields: O
     if announced_sha256(request.headers) is not None:
         raise MalformedRequest("Send the archive as the raw body to have its digest checked.")
     async with web.gate.spool(user_id, announced_archive(request)) as spool:
-        reader = FormReader(boundary, spool, file_field="predictions")
+        reader = FormReader(boundary, spool, file_field="predictions", known=[*OrderFields.model_fields])
         form = await reader.read(at_a_decent_pace(request.stream(), web.gate.limits))
         given = OrderFields.of_form(fields.model_dump(exclude_unset=True) | form.fields)
         order = order_of(given, key, file_name=form.file_name)
@@ -268,6 +274,7 @@ def accepted(web: Web, asker: Credentials, submission_id: str) -> Response:
         errors.TooManyRequests,
         NotFound,
         Forbidden,
+        InvalidField,
         ValidationFailed,
         s200=document_answer("Latest first.", documents.SubmissionList),
     ),
@@ -276,25 +283,33 @@ def list_submissions(
     *,
     web: WebDependency,
     asker: Asker,
-    benchmark: QueryText = None,
-    phase: QueryText = None,
-    limit: Annotated[int, Query(ge=1, le=500)] = 100,
-    offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
+    benchmark: Annotated[QueryText, Query(description="Slug; only with `phase`")] = None,
+    phase: Annotated[QueryText, Query(description="Slug; only those sent to this phase of `benchmark`")] = None,
+    method: Annotated[QueryText, Query(description="Slug; only those of this method")] = None,
+    state: Annotated[SubmissionState | None, Query(description="Only those in this state now")] = None,
+    limit: Annotated[int, Query(ge=1, le=500, description="So many at most")] = 100,
+    offset: Annotated[int, Query(ge=0, le=1_000_000, description="Leave out so many of the latest")] = 0,
 ) -> Response:
-    """List what the token's team, or all of the user's teams together, sent."""
+    """List what the token's team, or all of the user's teams together, sent; filters hold together."""
 
     def work(session: Session, identity: Identity | None) -> Response:
         if identity is None:
             raise MissingToken
-        chosen = None
-        if phase or benchmark:
-            if not (phase and benchmark):
-                raise ValidationFailed((InvalidValue("query", "give benchmark and phase together"),))
-            chosen = benchmarks.find_phase(session, benchmark, phase)
         teams = [identity.team] if identity.team else accounts.teams_of(session, identity.user)
-        of_teams = Submission.team_id.in_([team.id for team in teams])
-        in_phase = Submission.phase_id == chosen.id if chosen is not None else sa.true()
-        rows = submissions.latest(session, of_teams, in_phase, limit=limit, offset=offset)
+        conditions = [Submission.team_id.in_([team.id for team in teams]), *_in_phase(session, benchmark, phase)]
+        if method is not None:
+            conditions.append(Submission.method.has(slug=accounts.checked_slug("method", method)))
+        if state is not None:
+            conditions.append(Submission.state == state)
+        rows = submissions.latest(session, *conditions, limit=limit, offset=offset)
         return json_response(rendering.submission_list(session, rows))
 
     return read(web, asker, work)
+
+
+def _in_phase(session: Session, benchmark: str | None, phase: str | None) -> list[sa.ColumnElement[bool]]:
+    if not (phase or benchmark):
+        return []
+    if not (phase and benchmark):
+        raise ValidationFailed((InvalidValue("query", "give benchmark and phase together"),))
+    return [Submission.phase_id == benchmarks.find_phase(session, benchmark, phase).id]

@@ -217,23 +217,22 @@ async def _go_on(web: Web, known: _Open, part: PartFile, stream: AsyncIterator[b
 
 async def _append(web: Web, known: _Open, part: PartFile, stream: AsyncIterator[bytes], announced: str | None) -> None:
     """Write what comes; whatever ends it, what is safe is on the disk and in the record."""
-    start, rest = part.end, bytearray()
+    start, rest, is_kept = part.end, bytearray(), True
     web.gate.check_room(known.length - start)
     try:
         sha256 = await _take(web, known, part, stream, rest, all_or_nothing=announced is not None)
         check_sha256(announced, sha256)
         await run_in_threadpool(_write, web, part, bytes(rest))
     except (ClientDisconnect, UploadTimeout):
-        if announced is not None:
-            part.cut(start)
-        elif rest:
+        is_kept = announced is None
+        if is_kept and rest:
             await run_in_threadpool(_write, web, part, bytes(rest))
         raise
     except BaseException:  # whatever it is: what was not checked is not kept
-        part.cut(start)
+        is_kept = False
         raise
     finally:
-        await run_in_threadpool(_make_safe, web, known, part, part.end)
+        await run_in_threadpool(_end_part, web, known, part, None if is_kept else start)
 
 
 async def _take(
@@ -259,6 +258,13 @@ async def _take(
 def _write(web: Web, part: PartFile, data: bytes) -> None:
     check_floor(uploads.folder_of(web.services.settings.data_dir), web.gate.limits, len(data))
     part.append(data)
+
+
+def _end_part(web: Web, known: _Open, part: PartFile, drop_from: int | None) -> None:
+    """Drop what is not to be kept, and make the rest safe."""
+    if drop_from is not None:
+        part.cut(drop_from)
+    _make_safe(web, known, part, part.end)
 
 
 def _make_safe(web: Web, known: _Open, part: PartFile, offset: int) -> None:

@@ -38,7 +38,7 @@ class Phase(Base):
     evaluator_version: Mapped[str] = mapped_column(sa.String(16), default=EVALUATOR_VERSION)
     """The version in force: its scores rank before those of any other."""
     is_open: Mapped[bool] = mapped_column(default=False)
-    """Open ground truth: anybody may have it, so scores say little; scored before hidden phases' bulk work."""
+    """Open ground truth: anybody may have it, so scores say little. Shown, and nothing depends on it."""
     allows_publication: Mapped[bool] = mapped_column(default=True)
     opens_at: Mapped[datetime | None]
     closes_at: Mapped[datetime | None]

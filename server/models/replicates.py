@@ -14,9 +14,10 @@ class ScoreReplicates(Base):
 
     score_id: Mapped[int] = mapped_column(sa.ForeignKey(Score.id), primary_key=True)
     data: Mapped[bytes] = mapped_column(sa.LargeBinary)
-    """`evaluator.score_replicates.ScoreReplicates.to_bytes`, about 60 kB; empty: of too few images.
+    """`evaluator.score_replicates.ScoreReplicates.to_bytes`, about 60 kB. Nothing of a single image is in it.
 
-    Nothing of a single image is in it.
+    Empty: there are none, because of too few images, a protocol that cannot be resampled, too little memory, or too many
+    tries that came to no end.
     """
 
     score: Mapped[Score] = relationship(back_populates="replicates")

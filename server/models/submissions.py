@@ -32,7 +32,7 @@ class SubmissionState(StrEnum):
     REJECTED = "rejected"
     """The predictions have errors: the participant's fault, full report, quota given back."""
     FAILED = "failed"
-    """Our fault: cause kept, quota given back, maintainers told, one click re-queues."""
+    """Our fault: cause kept, quota given back, maintainers told; `cs3d-admin requeue` tries again."""
     CANCELLED = "cancelled"
     """Withdrawn by its owner before scoring."""
 

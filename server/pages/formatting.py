@@ -86,7 +86,13 @@ def plural(count: int, one: str, many: str | None = None) -> str:
     return f"{count:,} {one if count == 1 else many or one + 's'}"
 
 
+def sentence(message: str) -> str:
+    """Make a sentence of the message of an error."""
+    return f"{message[:1].upper()}{message[1:]}."
+
+
 FILTERS = {
+    "sentence": sentence,
     "percent": percent,
     "heat": heat,
     "signed": signed,

@@ -6,7 +6,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import RedirectResponse, Response
 
 from evaluator.protocol import PROTOCOLS
-from server import benchmarks, ranking, submissions
+from server import benchmarks, database, ranking, submissions
 from server.api.problems import all_errors
 from server.errors import NotFound
 from server.models import Method, Publication, Submission, Team, User
@@ -30,7 +30,9 @@ def home(visit: VisitDependency) -> Response:
         listed = benchmarks.list_benchmarks(session)
         phases = [phase for benchmark in listed for phase in benchmark.phases]
         leaders = {phase.id: ranking.leaders(session, phase, SHOWN_AT_HOME) for phase in phases}
-        return {"benchmarks": listed, "leaders": leaders}
+        at = database.now(session)
+        closed = {phase.id: why for phase in phases if (why := submissions.why_closed(phase, at))}
+        return {"benchmarks": listed, "leaders": leaders, "closed": closed}
 
     return visit.show("home.html", work)
 
@@ -54,6 +56,7 @@ def leaderboard(benchmark: str, phase: str, visit: VisitDependency) -> Response:
         view = tables.View.from_query(visit.request.query_params, labels)
         return {
             "phase": board.phase,
+            "closed": submissions.why_closed(board.phase, database.now(session)),
             "rows": tables.sorted_rows(board.rows, view),
             "labels": labels,
             "view": view,
@@ -76,6 +79,9 @@ def compare(benchmark: str, phase: str, visit: VisitDependency) -> Response:
         query, rows = visit.request.query_params, board.rows
         named = {str(row.submission.id): row for row in rows}
         labels = tables.labels_of(rows)
+        for key in {"a", "b"} & query.keys():
+            if query[key] not in named:
+                raise NotFound(f"phase {phase[:64]} ranks no submission {query[key][:64]!r}; it may be withdrawn")
         left = named.get(query.get("a", ""), rows[0] if rows else None)
         right = named.get(query.get("b", ""), rows[min(1, len(rows) - 1)] if rows else None)
         return {

@@ -6,13 +6,11 @@ from fastapi import APIRouter
 from sqlalchemy.orm import Session
 from starlette.responses import Response
 
-from evaluator.results import Scores
-from server import accounts, audit, exclusions, integrity, ranking, submissions
+from server import accounts, audit, exclusions, integrity, ranking, standings, submissions
 from server.api import rendering
 from server.api.errors import MalformedRequest
 from server.api.identity import Identity
 from server.api.submissions import owned, visible
-from server.charts import Chart
 from server.errors import Forbidden
 from server.models import AuditEvent, Submission, SubmissionState, User
 from server.pages import tables
@@ -70,7 +68,9 @@ def submission_page(submission_id: str, visit: VisitDependency) -> Response:
         identity = Identity(user, None) if user else None
         submission, mine = visible(session, submission_id, identity)
         blobs = visit.web.services.blobs
-        scores, charts = _scores(visit, submission)
+        shown = ranking.ranking_score(submission) if submission.state is SubmissionState.SCORED else None
+        scores = None if shown is None else rendering.scores_of(submission, blobs)
+        charts = () if shown is None or scores is None else visit.web.charts.charts(shown.scores_sha256, scores)
         return {
             "submission": submission,
             "owned": mine,
@@ -80,6 +80,7 @@ def submission_page(submission_id: str, visit: VisitDependency) -> Response:
             "history": rendering.history_of(submission) if scores else [],
             "excluded": exclusions.reason(session, submission),
             "charts": charts,
+            "interval": standings.interval_of(session, shown) if shown else None,
             "audit": rendering.integrity_of(submission) if mine else None,
             "bin_metric": tables.View.from_query(visit.request.query_params, ()).bin_metric,
             "tables": tables,
@@ -151,11 +152,3 @@ def _kind(position: int, present: int) -> str:
 def _step(state: str, at: object, kind: str) -> Step:
     title, detail = _EXPLAINED[str(state)]
     return Step(str(state), title, detail, kind, at if kind != "todo" else None)
-
-
-def _scores(visit: VisitDependency, submission: Submission) -> tuple[Scores | None, tuple[Chart, ...]]:
-    shown = ranking.ranking_score(submission) if submission.state is SubmissionState.SCORED else None
-    if shown is None:
-        return None, ()
-    scores = rendering.scores_of(submission, visit.web.services.blobs)
-    return scores, visit.web.charts.charts(shown.scores_sha256, scores)

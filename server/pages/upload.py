@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from server import accounts, benchmarks, database, quota
+from server import accounts, benchmarks, database, quota, submissions
 from server.api import receiving
 from server.api.errors import InvalidValue, MissingToken, ValidationFailed
 from server.api.identity import Identity
@@ -19,8 +19,8 @@ from server.api.problems import ProblemDocument, problem_of
 from server.api.receiving import Admission
 from server.api.sending import announced_archive
 from server.api.spool import Spool, at_a_decent_pace
-from server.errors import ServerError
-from server.models import Method, User
+from server.errors import QuotaExceeded, ServerError, TooManyRejections
+from server.models import Method, Phase, Team, User
 from server.pages.rendering import Context, html
 from server.pages.visits import Fields, Visit, VisitDependency, see_other
 
@@ -59,6 +59,9 @@ def form_context(session: Session, user: User, *, benchmark: str, phase: str, or
     at = database.now(session)
     return {
         "phase": found,
+        "closed": submissions.why_closed(found, at),
+        "spent": [spent for team in teams if (spent := _spent(session, team, found))],
+        "slug_pattern": accounts.SLUG.pattern,
         "teams": teams,
         "methods": sorted(slugs),
         "left": {team.slug: quota.remaining(session, team_id=team.id, phase=found, at=at) for team in teams},
@@ -66,6 +69,15 @@ def form_context(session: Session, user: User, *, benchmark: str, phase: str, or
         "problem": None,
         "fields": {},
     }
+
+
+def _spent(session: Session, team: Team, phase: Phase) -> str | None:
+    """Say when a team that may not send now may again."""
+    try:
+        quota.check(session, team=team, phase=phase)
+    except (QuotaExceeded, TooManyRejections) as error:
+        return str(error)
+    return None
 
 
 async def _receive(request: Request, visit: Visit, boundary: bytes, fields: Fields) -> str:
@@ -85,7 +97,7 @@ async def _receive(request: Request, visit: Visit, boundary: bytes, fields: Fiel
 
 async def _read_checked(stream: AsyncIterator[bytes], boundary: bytes, spool: Spool, visit: Visit) -> Form:
     """Read the form; the CSRF token stands before the file, and without it nothing more is read."""
-    reader = FormReader(boundary, spool, file_field="predictions")
+    reader = FormReader(boundary, spool, file_field="predictions", known=[*OrderFields.model_fields, "csrf"])
     checked = False
     async for chunk in stream:
         fields = await reader.feed(chunk)

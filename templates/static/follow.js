@@ -4,7 +4,7 @@ const section = document.getElementById("progress");
 const bar = section.querySelector("progress");
 const text = section.querySelector("[data-text]");
 
-const STAGES = { validating: "Validating", scoring: "Scoring", recording: "Recording" };
+const STAGES = { validating: "Validating", scoring: "Scoring" };
 
 function show(submission) {
   if (submission.state !== section.dataset.state) {

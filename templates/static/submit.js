@@ -25,7 +25,7 @@ function showProblem(document_) {
       group.problems.slice(0, 20).map((place) => {
         const item = document.createElement("li");
         const parts = [place.file, place.pointer, place.found && `found ${place.found}`, place.detail];
-        item.textContent = `${group.title} ${parts.filter(Boolean).join(" · ")}`;
+        item.textContent = `${group.title} ${parts.filter(Boolean).join(" · ")}. ${group.fix}`;
         return item;
       }),
     ),
@@ -61,6 +61,8 @@ function send() {
     method: fields.get("method"),
     method_name: fields.get("method_name"),
     description: fields.get("description"),
+    paper_url: fields.get("paper_url"),
+    code_url: fields.get("code_url"),
     team: fields.get("team"),
     file_name: file.name,
   });

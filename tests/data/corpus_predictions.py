@@ -32,8 +32,8 @@ def document(*boxes: str, more: str = "") -> bytes:
 
 def accepted() -> Iterator[Case]:
     """Yield what is valid, with the warnings and notes it gives."""
-    yield "empty_image", "", b'{"objects": []}'
-    yield "empty_image_spaced", "", b' \t\r\n{ "objects" : [ ] } \n'
+    yield "empty_image", "no_boxes", b'{"objects": []}'
+    yield "empty_image_spaced", "no_boxes", b' \t\r\n{ "objects" : [ ] } \n'
     yield "one_box", "", document(box())
     yield "amodal_only", "", document(box(modal=None))
     yield "amodal_only_mixed", "", document(box(modal=None), box())
@@ -65,8 +65,8 @@ def accepted() -> Iterator[Case]:
     yield "extra_key_null", "", document(box(more=', "track": null, "tags": ["x", true, false, {}]'))
     yield "extra_key_long_integer", "", document(box(more=f', "id": {"9" * 18}'))
     yield "extra_keys_without_modal", "", document(box(modal=None, more=', "id": 1'), box(modal=None))
-    yield "nested_31_levels", "", document(more=', "deep": ' + "[" * 31 + "]" * 31)
-    yield "unicode_extra", "", document(more=', "note": "größe \N{SNOWMAN} \\ud83d\\ude00"')
+    yield "nested_31_levels", "no_boxes", document(more=', "deep": ' + "[" * 31 + "]" * 31)
+    yield "unicode_extra", "no_boxes", document(more=', "note": "größe \N{SNOWMAN} \\ud83d\\ude00"')
     yield "unnormalised_rotation", "rotation_not_normalised", document(box(rotation="[2, 0, 0, 0]"), box())
     yield "rounded_rotation", "rotation_not_normalised", document(box(rotation="[0.71, 0, 0, 0.71]"))
     yield "slightly_rounded_rotation", "", document(box(rotation="[0.7071, 0, 0, 0.7071]"))

@@ -14,6 +14,8 @@ from tests.integration.site import Site
 ONE_SHAPE = pytest.mark.parametrize("shape", ["embedded"], indirect=True)
 """Hundreds of requests made at random: what they try lies before the database and the blobs."""
 
+API_PAGE = (Path(__file__).resolve().parents[3] / "docs" / "api.md").read_text(encoding="utf-8")
+
 EXAMPLES = 12
 """Requests generated for each operation: a bounded run, the same each time; `python3 do.py fuzz` makes long ones."""
 
@@ -51,10 +53,24 @@ def test_codes_are_stable_and_explained(site: Site) -> None:
 
 def test_the_documentation_lists_every_code() -> None:
     """docs/api.md has one line for each code, with its status and its sentence, and no other."""
-    text = (Path(__file__).resolve().parents[3] / "docs" / "api.md").read_text(encoding="utf-8")
-    table = text.partition("## Problems")[2].partition("## Limits")[0]
+    table = API_PAGE.partition("## Problems")[2].partition("## Limits")[0]
     listed = re.findall(r"^\| `([a-z_]+)` \| (\d+) \| (.*)\. \|$", table, re.MULTILINE)
     assert listed == [(code, str(kind.status), title_of(kind)) for code, kind in all_errors().items()]
+
+
+@ONE_SHAPE
+def test_the_documentation_lists_every_operation(site: Site) -> None:
+    """The table of docs/api.md has every operation of the OpenAPI document once, and no other."""
+    with site.client() as client:
+        document = client.get("/api/v1/openapi.json").json()
+    table = API_PAGE.partition("| request |")[2].partition("\n\n")[0]
+    requests = "".join(re.findall(r"^\| (.*?) \|", table, re.MULTILINE))
+    described = {
+        f"{method.upper()} {re.sub('{[a-z]+_id}', '{id}', path.removeprefix('/api/v1'))}"
+        for path, operations in document["paths"].items()
+        for method in operations
+    }
+    assert sorted(re.findall(r"`([A-Z]+ [^`]+)`", requests)) == sorted(described)
 
 
 @ONE_SHAPE

@@ -11,6 +11,7 @@ import pytest
 import sqlalchemy as sa
 
 from server.models import Score as ScoreRow
+from server.models import SubmissionState
 from tests.integration.site import Site, send
 from tests.services.installation import SMALL_CASE
 from tests.services.processes import wait_until
@@ -215,6 +216,34 @@ def test_the_list_is_the_teams_own(site: Site, archive: bytes) -> None:
         assert client.get("/api/v1/submissions", params={"phase": "test"}).status_code == 422
 
 
+def test_the_list_can_be_filtered(site: Site, archive: bytes) -> None:
+    """By state, method and phase, which hold together; what meets them all comes, latest first."""
+    with site.client(site.token()) as client:
+        first, ended, other = (send(client, archive, method=method).json() for method in ("one", "one", "two"))
+        client.post(f"{own(ended)}/cancel").raise_for_status()
+
+        def listed(**filters: str) -> list[str]:
+            return [row["id"] for row in client.get("/api/v1/submissions", params=filters).json()["submissions"]]
+
+        assert listed(state="received") == [other["id"], first["id"]]
+        assert listed(state="cancelled") == [ended["id"]]
+        assert listed(method="one") == [ended["id"], first["id"]]
+        assert listed(method="one", state="received", benchmark="cs3d", phase="test") == [first["id"]]
+        assert listed(state="scored") == listed(method="three") == []
+
+
+def test_filters_that_cannot_be_are_refused(site: Site) -> None:
+    """An unknown state is answered with the list of states, a method that none can be called with what one may be."""
+    with site.client(site.token()) as client:
+        state = client.get("/api/v1/submissions", params={"state": "done"})
+        method = client.get("/api/v1/submissions", params={"method": "No Slug"})
+        described = client.get("/api/v1/openapi.json").json()["paths"]["/api/v1/submissions"]["get"]["parameters"]
+    assert (state.status_code, state.json()["code"]) == (422, "invalid_request")
+    assert all(f"'{one}'" in state.json()["detail"] for one in SubmissionState)
+    assert (method.status_code, method.json()["code"]) == (422, "invalid_field")
+    assert all(parameter["description"] for parameter in described)
+
+
 def test_a_revoked_token_opens_nothing(site: Site, archive: bytes) -> None:
     """A token that was revoked is refused at once."""
     with site.client(site.token()) as client:
@@ -231,7 +260,7 @@ def test_unknown_addresses_are_problem_documents(site: Site, method: str, path: 
         response = client.request(method, path)
         assert (response.status_code, response.json()["code"]) == (404, "not_found")
         wrong = client.delete("/api/v1/benchmarks")
-    assert (wrong.status_code, wrong.json()["code"], wrong.headers["allow"]) == (405, "method_not_allowed", "GET")
+    assert (wrong.status_code, wrong.json()["code"], wrong.headers["allow"]) == (405, "method_not_allowed", "GET, HEAD")
 
 
 @pytest.mark.parametrize("shape", ["embedded"], indirect=True)  # a bucket's bytes cannot be damaged in place

@@ -17,6 +17,7 @@ from server.api.receiving import Admission
 from server.api.spool import SpooledFile
 from server.models import SubmissionState
 from server.services import Services
+from server.submissions import NOTHING_SAID
 from worker.evaluation import evaluate_submission
 from worker.sandbox import Sandbox
 
@@ -56,7 +57,7 @@ def sent(services: Services, path: Path) -> uuid.UUID:
         ann, lab = accounts.find_user(session, "ann@example.org"), accounts.find_team(session, "lab")
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    order = Order(benchmark="cs3d", phase="test", method="large")
+    order = Order(benchmark="cs3d", phase="test", method="large", shown=NOTHING_SAID)
     return receiving.keep(
         services, Admission(ann.id, lab.id, "user:1"), order, SpooledFile(path, sha256, path.stat().st_size)
     )

@@ -50,7 +50,7 @@ def test_ranks_are_shared_and_everybody_may_read(site: Site, archive: bytes, sco
 def test_csv_holds_the_same_numbers(
     *, site: Site, archive: bytes, score: Callable[[str], None], query: dict[str, str], headers: dict[str, str]
 ) -> None:
-    """CSV has one row a method with the numbers of the JSON in full precision, undefined ones empty."""
+    """CSV has one row a method with the numbers of the JSON in full precision, undefined ones empty, and its times."""
     published(site, site.token(), archive, "ours", score)
     with site.client() as nobody:
         response = nobody.get(BOARD, params=query, headers=headers)
@@ -58,6 +58,7 @@ def test_csv_holds_the_same_numbers(
     assert response.headers["content-type"].startswith("text/csv")
     (line,) = csv.DictReader(io.StringIO(response.text))
     assert float(line["mds"]) == row["mds"]
+    assert line["created_at"] == row["created_at"]
     for label, values in row["classes"].items():
         for metric, value in values.items():
             assert line[f"{label}_{metric}"] == ("" if value is None else repr(value))

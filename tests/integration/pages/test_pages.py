@@ -179,14 +179,14 @@ def test_the_leaderboard_sorts_and_ranks(site: Site, archive: bytes, score: Scor
 
 
 def test_two_methods_are_compared(site: Site, archive: bytes, score: Score) -> None:
-    """Differences are the second method's less the first's; an undefined value has no difference."""
+    """Differences are the second method's less the first's; a submission that does not rank has no page."""
     token = site.token()
     best = published(site, token, archive, "best", score)
     worst = published(site, token, zip_with(NOTHING_FOUND), "worst", score)
     with site.client() as visitor:
         page = visitor.get(f"{BOARD}/compare", params={"a": best, "b": worst}).text
         mds = 100 * visitor.get("/api/v1/leaderboards/cs3d/test").json()["rows"][0]["mds"]
-        assert visitor.get(f"{BOARD}/compare", params={"a": "no", "b": "no"}).status_code == 200
+        assert visitor.get(f"{BOARD}/compare", params={"a": "no", "b": "no"}).status_code == 404
     row = re.search(r'<th scope="row" class="sticky">mDS</th>(.*?)</tr>', page, re.DOTALL)
     assert row
     # The worst finds nothing: its mDS is 0, the difference all of the best one's.
@@ -221,6 +221,19 @@ def test_undefined_is_said(site: Site, archive: bytes, score: Score) -> None:
         assert row[1].count("n/a") == 7
     # Half of the bicycles are found, all in one depth bin.
     assert "bicycle: true positives in fewer than two depth bins" in page
+
+
+def test_what_matters_stands_above_the_scores(site: Site, score: Score) -> None:
+    """A warning is not left to the end of a long page; beside the score stands how far it can be trusted."""
+    with site.client(site.token()) as client:
+        document = send(client, zip_with(NOTHING_FOUND)).json()
+        score(document["id"])
+    with ann(site) as browser:
+        page = browser.get(document["links"]["page"]).text
+    warning, interval = page.index("No file has a box of an evaluated class."), page.index("confidence interval of mDS")
+    assert warning < interval < page.index('id="classes-caption"')
+    # Two images are too few for one.
+    assert "too few images or boxes for one that could be trusted" in page
 
 
 @pytest.mark.parametrize("path", ["/", BOARD, "/login", "/problems", "/nothing", "/static/base.css", "/favicon.ico"])

@@ -9,12 +9,12 @@ from evaluator.evaluation import evaluate
 from evaluator.interval_rules import (
     FEWEST_BOXES,
     FEWEST_BOXES_IN_BIN,
+    FEWEST_FOR_INTERVALS,
     FEWEST_TRUE_POSITIVES,
     FEWEST_TRUE_POSITIVES_IN_BIN,
     FEWEST_TRUE_POSITIVES_IN_BIN_FOR_YAW,
     FEWEST_TRUE_POSITIVES_PER_BIN,
     FEWEST_TRUE_POSITIVES_PER_BIN_FOR_YAW,
-    FEWEST_UNITS,
     sufficient,
 )
 from evaluator.protocol import PAPER
@@ -39,7 +39,7 @@ def _found(cars_by_bin: list[int], trucks: int = 0) -> tuple[Statistics, Replica
     )
 
 
-def _given(cars_by_bin: list[int], *, trucks: int = 0, units: int = FEWEST_UNITS) -> tuple[set[str], set[str]]:
+def _given(cars_by_bin: list[int], *, trucks: int = 0, units: int = FEWEST_FOR_INTERVALS) -> tuple[set[str], set[str]]:
     """Name the metrics of the means and of cars that get an interval."""
     means, classes, _ = sufficient(*_found(cars_by_bin, trucks), units)
     return {METRICS[i] for i in np.flatnonzero(means)}, {METRICS[i] for i in np.flatnonzero(classes[CAR])}
@@ -61,7 +61,7 @@ def test_a_class_hardly_found_has_no_interval() -> None:
         (FEWEST_TRUE_POSITIVES - 1, set()),
     ):
         found[0, CAR, 0] = true_positives
-        _, classes, _ = sufficient(statistics, replace(estimate, true_positives=found), FEWEST_UNITS)
+        _, classes, _ = sufficient(statistics, replace(estimate, true_positives=found), FEWEST_FOR_INTERVALS)
         assert {METRICS[i] for i in np.flatnonzero(classes[CAR])} == given
 
 
@@ -93,14 +93,14 @@ def test_a_mean_needs_enough_of_every_class_with_ground_truth() -> None:
 
 def test_few_images_or_clusters_give_nothing() -> None:
     """499 are too few, however many boxes they hold."""
-    assert _given([1000] * 20, units=FEWEST_UNITS - 1) == (set(), set())
+    assert _given([1000] * 20, units=FEWEST_FOR_INTERVALS - 1) == (set(), set())
     assert _given([1000] * 20)[1] == set(METRICS)
 
 
 def test_integrals_over_the_whole_range_give_nothing_but_average_precision() -> None:
     """Under the protocol `paper` a resample that empties any depth bin loses it: only AP scatters about the score."""
     statistics, estimate = _found([1000] * 20)
-    means, classes, bins = sufficient(replace(statistics, protocol=PAPER), estimate, FEWEST_UNITS)
+    means, classes, bins = sufficient(replace(statistics, protocol=PAPER), estimate, FEWEST_FOR_INTERVALS)
 
     assert {METRICS[i] for i in np.flatnonzero(means)} == {METRICS[i] for i in np.flatnonzero(classes[CAR])} == {"ap"}
     assert bins[CAR].all()
@@ -118,6 +118,6 @@ def test_integrals_over_the_whole_range_give_nothing_but_average_precision() -> 
 )
 def test_a_depth_bin_needs_its_own_boxes(boxes: int, metrics: set[str]) -> None:
     """What the other bins hold does not help."""
-    _, _, bins = sufficient(*_found([1000, boxes]), FEWEST_UNITS)
+    _, _, bins = sufficient(*_found([1000, boxes]), FEWEST_FOR_INTERVALS)
 
     assert {BIN_METRICS[i] for i in np.flatnonzero(bins[CAR, 1])} == metrics

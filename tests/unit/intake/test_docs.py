@@ -3,10 +3,15 @@ import importlib
 import pkgutil
 import re
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 import client
 import evaluator
 import server
+import server.api.errors
+import server.errors
 from evaluator import errors
 from evaluator.codes import MEANINGS, Code
 from evaluator.errors import BenchmarkError
@@ -52,6 +57,25 @@ def test_the_tree_of_errors_is_the_one_drawn() -> None:
     text = (DOCS / "errors.md").read_text(encoding="utf-8").partition("## What ends a command")[2]
     listed = re.findall(r"^\| `(\w+)` \| (.*) \|$", text, flags=re.MULTILINE)
     assert sorted(listed) == sorted((kind.code, (kind.__doc__ or "").split("\n", 1)[0]) for kind in _classes())
+
+
+@pytest.mark.parametrize("module", [server.errors, server.api.errors], ids=lambda module: module.__name__)
+def test_what_the_server_answers_is_drawn(module: ModuleType) -> None:
+    """The drawing in each module of errors holds its classes and what they come from, with parent, status and code."""
+    drawn, path = set(), [BenchmarkError.__name__]
+    for edge, name, status, code in re.findall(
+        r"^ {4}([│├└─ ]*)(\w+) +(\d+) {2}(\w+)", module.__doc__ or "", flags=re.MULTILINE
+    ):
+        path = [*path[: len(edge) // 4 + 1], name]
+        drawn.add((*path[-2:], int(status), code))
+    found: set[type[BenchmarkError]] = set()
+    waiting: list[type[BenchmarkError]] = [ServerError]
+    while waiting:
+        kind = waiting.pop()
+        waiting.extend(kind.__subclasses__())
+        if kind.__module__ == module.__name__:
+            found |= {one for one in kind.__mro__ if issubclass(one, ServerError)}
+    assert drawn == {(one.__bases__[0].__name__, one.__name__, one.status, one.code) for one in found}
 
 
 def test_limits_are_documented() -> None:

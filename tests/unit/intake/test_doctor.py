@@ -151,6 +151,11 @@ def test_odd_labels_are_not_explained() -> None:
 
 
 def test_no_boxes_at_all(tmp_path: Path) -> None:
-    """A submission without any box has no mistakes."""
-    (tmp_path / f"{IMAGE}_pred.json").write_bytes(document())
+    """A submission without any box is valid, and a warning asks whether that is meant; one box more takes it away."""
+    file = tmp_path / f"{IMAGE}_pred.json"
+    file.write_bytes(document())
+    report = read_predictions(tmp_path, images=None).report
+    assert report.accepted
+    assert [(group.code, group.severity) for group in report.groups] == [("no_boxes", "warning")]
+    file.write_bytes(document(box()))
     assert read_predictions(tmp_path, images=None).report.groups == ()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluator.ground_truth import GroundTruthError, read_ground_truth
+from evaluator.ground_truth import GroundTruthError, ground_truth_files, read_ground_truth
 
 CASE = Path(__file__).parents[2] / "data" / "oracle" / "tiny_by_hand" / "gt"
 NAME = "bonn_000000_000019_gtBbox3d.json"
@@ -41,6 +41,23 @@ def test_other_files_beside_it_do_not_matter(ground_truth: Path) -> None:
     for name in ("results.json", f"._{NAME}", "README.md", "bonn_000000_000019_leftImg8bit.png"):
         (ground_truth / name).write_text("{}")
     assert read_ground_truth(ground_truth).images == ("bonn_000000_000019",)
+
+
+def test_a_pipe_is_named_and_not_waited_for(ground_truth: Path) -> None:
+    """Opening it would wait for somebody to write into it."""
+    os.mkfifo(ground_truth / "ulm_000000_000019_gtBbox3d.json")
+    with pytest.raises(GroundTruthError, match=r"ulm_000000_000019_gtBbox3d[.]json: no regular file"):
+        read_ground_truth(ground_truth)
+
+
+def test_the_files_that_were_read_are_those_that_are_kept(ground_truth: Path) -> None:
+    """What lies beside ground truth is no part of it, so the same ground truth gives the same bytes to keep."""
+    (ground_truth / "sub").mkdir()
+    (ground_truth / NAME).rename(ground_truth / "sub" / NAME)
+    before = ground_truth_files(ground_truth)
+    for name in ("results.json", f"._{NAME}", "sub/results.json"):
+        (ground_truth / name).write_text("{}")
+    assert ground_truth_files(ground_truth) == before == {NAME: (ground_truth / "sub" / NAME).read_bytes()}
 
 
 def test_a_linked_folder_is_named(ground_truth: Path, tmp_path: Path) -> None:
