@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session
 
 from server import benchmarks, integrity, rescoring, rescoring_decisions, submissions
 from server.errors import Conflict
-from server.models import GroundTruthVersion, Phase, Rescoring
+from server.models import Phase, Rescoring
 from tests.integration.record.test_lock_order import sandbox
 from tests.integration.record.three_methods import Rescored, second_ground_truth
 from tests.services.installation import Installation
@@ -61,19 +61,20 @@ def test_nothing_is_decided_about_a_rescoring_that_ended(
 def test_ground_truth_in_force_at_once_meets_a_rescoring(
     installation: Installation, sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A re-scoring that begins while a version is imported keeps what it was begun to replace in force."""
+    """A re-scoring that begins after an import has read the phase, before it locks it, keeps what it replaces in force."""
     rescored = Rescored(installation, sandbox)
     rescored.add("complete", publish=False)
     services = installation.services
     prepared = benchmarks.prepare_ground_truth(services.blobs, second_ground_truth(installation.folder))
-    count = benchmarks._published_without_score
+    lock = benchmarks._lock
 
-    def begin_first(session: Session, phase: Phase, version: GroundTruthVersion) -> int:
+    def begin_first(session: Session, phase: Phase) -> None:
+        monkeypatch.setattr(benchmarks, "_lock", lock)
         with services.transaction() as other:
             rescoring.start(other, phase=rescored.phase(other), protocol="paper", actor="admin:two")
-        return count(session, phase, version)
+        lock(session, phase)
 
-    monkeypatch.setattr(benchmarks, "_published_without_score", begin_first)
+    monkeypatch.setattr(benchmarks, "_lock", begin_first)
     with services.transaction() as session:
         phase = rescored.phase(session)
         version = benchmarks.add_ground_truth(
