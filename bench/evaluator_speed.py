@@ -1,6 +1,6 @@
 """The evaluator beside the reference implementation, in one run, on one machine, with the results compared.
 
-    python bench/evaluator_speed.py [--images=1525] [--boxes=30,100] [--without-reference]
+    python bench/evaluator_speed.py [--images=1525] [--boxes=30,100] [--rounds=2] [--without-reference]
 
 The workloads are synthetic (evaluator/synthetic) and seeded: 1525 images with about 13,000 ground-truth boxes, 30 and
 100 predictions for each image. Each comes twice: realistic, where most boxes are cars and most scores low, and even,
@@ -51,7 +51,6 @@ from tests.reference.process import reference_python  # noqa: E402 - likewise
 from tests.results_comparison import differences  # noqa: E402 - likewise
 
 HERE = Path(__file__).parent
-_ROUNDS = 2
 _TITLES = {
     "zipfile": "floor: zipfile, typed decode",
     "isal": "floor: own zip reader with isal, same",
@@ -65,6 +64,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=1525)
     parser.add_argument("--boxes", type=lambda text: [int(part) for part in text.split(",")], default=[30, 100])
+    parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--without-reference", action="store_true")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -79,9 +79,9 @@ def main() -> int:
             for boxes in args.boxes
             for kind, of_kind in workloads.items()
         ]
-        for number in range(_ROUNDS):
+        for number in range(args.rounds):
             for measurement in measurements:
-                print(f"round {number + 1} of {_ROUNDS}: {measurement.path.stem}", file=sys.stderr, flush=True)
+                print(f"round {number + 1} of {args.rounds}: {measurement.path.stem}", file=sys.stderr, flush=True)
                 measurement.run(python)
         for measurement in measurements:
             measurement.show()

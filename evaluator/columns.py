@@ -147,9 +147,11 @@ class GrowingColumns:
             getattr(self._columns, name)[self._count : stop] = getattr(columns, name)
         self._count = stop
 
-    def predictions(self, images: tuple[str, ...], labels: tuple[str, ...]) -> Predictions:
-        """Give everything that was appended, in its order."""
+    def predictions(self, images: tuple[str, ...], labels: tuple[str, ...], *, backwards: bool = False) -> Predictions:
+        """Give everything that was appended, in its order or the last first."""
         columns = {name: getattr(self._columns, name)[: self._count] for name in Columns.__slots__}
+        if backwards:
+            columns = {name: np.ascontiguousarray(column[::-1]) for name, column in columns.items()}
         return Predictions(images=images, labels=labels, **columns)
 
     def _enlarged(self, rows: int) -> Columns:

@@ -1,13 +1,16 @@
 """Evaluation of submissions' files with the work split by image over two processes.
 
-Both open a file and read and match their half of the images at the same time; the statistics of the halves are joined,
-bit for bit what one process gives, and the doctor sees the boxes of both. Where a file of either half has something to be said about, everything is read once
-more in one piece, so that there is one report and one place that writes it.
+Both open a file. One reads from the first image on, the other from the last one back, until they meet, so that both are
+done at the same time though one processor may be slower; then each matches what it has read. The statistics of both parts
+are joined, bit for bit what one process gives, and the doctor sees the boxes of both. Where a file of either part has
+something to be said about, everything is read once more in one piece, so that there is one report and one place that
+writes it.
 """
 
 import atexit
 import os
 import signal
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_all_start_methods, get_context
@@ -40,8 +43,11 @@ _T = TypeVar("_T")
 FEWEST_IMAGES = 200
 """With fewer a second process costs about what it saves."""
 
-_OWN_SHARE = 0.48
-"""Of the images for the process that also computes the digest, so that both are done at the same time."""
+_TURN_IMAGES = 16
+"""Images read at a turn: little work, so that neither process waits long for the other's last turn."""
+
+_MOST_TURNS = 4096
+"""What an empty pipe holds on every system."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +62,7 @@ class FileEvaluation:
 
 
 @dataclass(frozen=True, slots=True)
-class _Half:
+class _Part:
     """What one process found on its images."""
 
     statistics: Statistics
@@ -112,7 +118,7 @@ def _evaluate_in_one(
 
 
 class TwoProcesses:
-    """Evaluates files on one ground truth, half of the images here and half in a second process, which is kept.
+    """Evaluates files on one ground truth, part of the images here and part in a second process, which is kept.
 
     Kept, because a process that has just been forked asks the system for every page of memory it touches. With few
     images, where no second process can be started, and once it has died, everything is done here. For one thread.
@@ -122,13 +128,11 @@ class TwoProcesses:
         """Start the second process; leave the `with` block or call `close` to end it."""
         self._ground_truth, self._protocol = ground_truth, protocol
         self._ground_truth_sha256 = ground_truth_sha256
-        middle = int(len(ground_truth.images) * _OWN_SHARE)
-        self._own, other = slice(0, middle), slice(middle, None)
         pays = len(ground_truth.images) >= FEWEST_IMAGES and "fork" in get_all_start_methods()
         self._other: _Other | None = None
         if pays:
             with suppress(OSError):  # no process or no memory to be had
-                self._other = _Other(ground_truth, protocol, other)
+                self._other = _Other(ground_truth, protocol)
 
     @property
     def is_split(self) -> bool:
@@ -155,7 +159,7 @@ class TwoProcesses:
         if self._other is not None:
             try:
                 with garbage_collection_paused():
-                    evaluation = self._evaluate_in_halves(source, self._other)
+                    evaluation = self._evaluate_in_parts(source, self._other)
             except BaseException:
                 self.close()  # nobody knows what it would answer next
                 raise
@@ -163,26 +167,27 @@ class TwoProcesses:
                 self.close()
         return evaluation or _evaluate_in_one(source, self._ground_truth, self._protocol, self._ground_truth_sha256)
 
-    def _evaluate_in_halves(self, source: Path, other: "_Other") -> FileEvaluation | None:
+    def _evaluate_in_parts(self, source: Path, other: "_Other") -> FileEvaluation | None:
         """Evaluate with the second process; None when the submission is not clean."""
+        other.turns.lay_out(len(self._ground_truth.images))
         other.send(source.absolute())  # it is where the first process was at the start
         findings = Findings()
-        own = _evaluate_half(source, self._ground_truth, self._protocol, self._own, findings)
         sha256 = digest(source)
-        second = other.receive(_Half)
+        own = _evaluate_part(source, self._ground_truth, self._protocol, other.turns, findings, backwards=False)
+        second = other.receive(_Part)
         other.send(None if own is None else len(own.predictions))
         if own is None or second is None:
             return None
         # The other process has a sample to take; meanwhile there is enough to do here.
-        statistics = join([own.half.statistics, second.statistics])
+        statistics = join([own.part.statistics, second.statistics])
         scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, sha256))
         evidence = gather_evidence(own.predictions, self._ground_truth, after=len(second.score))
         others = other.receive(Evidence)
         if others is None:
             return None
-        own.reading.label_counts = own.half.label_counts + second.label_counts
+        own.reading.label_counts = own.part.label_counts + second.label_counts
         own.reading.note_unevaluated_labels()
-        score = np.concatenate([own.half.score, second.score])
+        score = np.concatenate([own.part.score, second.score])
         conclude(score, Evidence.joined(evidence, others), findings)
         images = len(self._ground_truth.images)
         report = findings.report(images_expected=images, images_found=images, boxes=len(score))
@@ -191,18 +196,22 @@ class TwoProcesses:
 
 @dataclass(frozen=True, slots=True)
 class _Read:
-    """A half with what it was read from."""
+    """A part with what it was read from."""
 
-    half: _Half
+    part: _Part
     predictions: Predictions
-    """Of all images, but with the boxes of the half only."""
+    """Of all images, but with the boxes of the part only."""
     reading: StrictReading
 
 
-def _evaluate_half(
-    source: Path, ground_truth: GroundTruth, protocol: Protocol, part: slice, findings: Findings
+def _evaluate_part(
+    source: Path, ground_truth: GroundTruth, protocol: Protocol, turns: "_Turns", findings: Findings, *, backwards: bool
 ) -> _Read | None:
-    """Read and match the images of one part; None for a broken archive, and when there is anything to say of its files."""
+    """Read images until none is left and match them.
+
+    Returns:
+        None for a broken archive, and when there is anything to say of its files.
+    """
     with open_source(source, DEFAULT_LIMITS, findings) as files:
         if files is None:
             return None
@@ -210,13 +219,15 @@ def _evaluate_half(
         if findings.error_count:
             return None
         before = _groups(findings)
-        reading.assigned = reading.assigned[part]
-        predictions = reading.read(None)
+        taken: list[int] = []
+        predictions = reading.read_part(turns.take(reading.assigned, taken, backwards=backwards), backwards=backwards)
         if _groups(findings) != before:
             return None
+        count = sum(taken)
+        part = slice(len(reading.assigned) - count, None) if backwards else slice(0, count)
         truth, own = ground_truth_of(ground_truth, part), predictions_of(predictions, part)
         statistics = collect(truth, own, match_by_protocol(truth, own, protocol), protocol)
-        return _Read(_Half(statistics, predictions.score, reading.label_counts), predictions, reading)
+        return _Read(_Part(statistics, predictions.score, reading.label_counts), predictions, reading)
 
 
 def _groups(findings: Findings) -> tuple[ProblemGroup, ...]:
@@ -257,12 +268,65 @@ def ground_truth_of(ground_truth: GroundTruth, part: slice) -> GroundTruth:
     )
 
 
+class _Turns:
+    """The turns at reading a file's images that are left: one process takes them from the front, the other from the back.
+
+    A pipe holds a byte for each; who reads it has the turn. No lock, which a process might take with it into death.
+    """
+
+    def __init__(self) -> None:
+        """Make the pipe."""
+        self._source, self._sink = os.pipe()
+        os.set_blocking(self._source, False)
+
+    def lay_out(self, images: int) -> None:
+        """Begin anew with a file of so many images, while the other process waits for it."""
+        while self._is_mine():  # what an archive that broke left
+            pass
+        os.write(self._sink, bytes(-(-images // _images_at_a_turn(images))))
+
+    def take(
+        self, assigned: Sequence[tuple[int, int]], taken: list[int], *, backwards: bool
+    ) -> Iterator[tuple[int, int]]:
+        """Yield images and their files turn by turn until none is left.
+
+        Args:
+            assigned: Of all images.
+            taken: Receives how many images each turn had.
+            backwards: From the last image to the first.
+        """
+        step = _images_at_a_turn(len(assigned))
+        firsts = range(0, len(assigned), step)
+        for first in reversed(firsts) if backwards else firsts:
+            if not self._is_mine():
+                return
+            turn = assigned[first : first + step]
+            taken.append(len(turn))
+            yield from reversed(turn) if backwards else turn
+
+    def _is_mine(self) -> bool:
+        try:
+            return bool(os.read(self._source, 1))
+        except BlockingIOError:
+            return False
+
+    def close(self) -> None:
+        """Close the pipe."""
+        os.close(self._source)
+        os.close(self._sink)
+
+
+def _images_at_a_turn(images: int) -> int:
+    return max(_TURN_IMAGES, -(-images // _MOST_TURNS))
+
+
 class _Other:
     """The second process; it may die at any moment."""
 
-    def __init__(self, ground_truth: GroundTruth, protocol: Protocol, part: slice) -> None:
+    def __init__(self, ground_truth: GroundTruth, protocol: Protocol) -> None:
         """Start it; it shares the ground truth."""
         context = get_context("fork")
+        self.turns = _Turns()
         here, there = context.Pipe()
 
         def work() -> None:
@@ -270,7 +334,7 @@ class _Other:
             here.close()  # so that the end of the first process is noticed
             with suppress(EOFError, OSError):
                 while True:
-                    _serve(there, ground_truth, protocol, part)
+                    _serve(there, ground_truth, protocol, self.turns)
 
         self._connection = here
         self.has_ended = False
@@ -281,6 +345,7 @@ class _Other:
                 self._process.start()
             except OSError:
                 here.close()
+                self.turns.close()
                 raise
         # Before multiprocessing, which would send SIGTERM, ignored where the first process does so, and wait for ever.
         atexit.register(self.close)
@@ -307,17 +372,18 @@ class _Other:
         self._connection.close()
         self._process.kill()
         self._process.join()
+        self.turns.close()
 
 
-def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol, part: slice) -> None:
-    """Answer one question of the first process: the half of a file, then the evidence of its boxes."""
+def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol, turns: _Turns) -> None:
+    """Answer one question of the first process: a part of a file, then the evidence of its boxes."""
     source = connection.recv()
     with garbage_collection_paused():
         try:
-            done = _evaluate_half(source, ground_truth, protocol, part, Findings())
+            done = _evaluate_part(source, ground_truth, protocol, turns, Findings(), backwards=True)
         except (UsageError, OSError):  # the first process says it
             done = None
-    connection.send(None if done is None else done.half)
+    connection.send(None if done is None else done.part)
     boxes_before = connection.recv()
     if done is not None and boxes_before is not None:
         connection.send(gather_evidence(done.predictions, ground_truth, before=boxes_before))

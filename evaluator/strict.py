@@ -1,6 +1,6 @@
 """The strict reading: clean files fast to arrays, the others explained."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -53,19 +53,40 @@ class StrictReading:
 
     def read(self, progress: Progress | None) -> Predictions:
         """Read every file, batch by batch."""
+        return self._read(self.assigned, len(self.assigned), progress).predictions(self.images, self._labels)
+
+    def read_part(self, files: Iterable[tuple[int, int]], *, backwards: bool) -> Predictions:
+        """Read some files, about half of all.
+
+        Args:
+            files: pairs of `assigned`, one after the other, which are asked for only when their turn comes.
+            backwards: they come last image first; the boxes are in the usual order all the same.
+        """
+        columns = self._read(files, len(self.assigned) / 2, None, backwards=backwards)
+        return columns.predictions(self.images, self._labels, backwards=backwards)
+
+    def _read(
+        self, files: Iterable[tuple[int, int]], expected: float, progress: Progress | None, *, backwards: bool = False
+    ) -> GrowingColumns:
+        """Read files, of which so many are expected; where they come backwards, so do the boxes of each."""
         columns = GrowingColumns()
         batch = _Batch(self._labels_in_order)
-        for done, (image, number) in enumerate(self.assigned, start=1):
+        done = finished = 0
+        for done, (image, number) in enumerate(files, start=1):
             data = self._read_bytes(number)
             boxes = None if data is None else self._decode(number, data)
             if data is not None and boxes is not None:
-                batch.add(image, number, data, boxes)
-            if batch.is_full or done == len(self.assigned):
-                columns.append(self._finish(batch), share_done=done / len(self.assigned))
-                batch = _Batch(self._labels_in_order)
+                batch.add(image, number, data, boxes[::-1] if backwards else boxes)
+            if batch.is_full:
+                columns.append(self._finish(batch), share_done=min(1.0, done / expected))
+                batch, finished = _Batch(self._labels_in_order), done
                 if progress is not None:
                     progress(done, len(self.assigned))
-        return columns.predictions(self.images, self._labels)
+        if finished < done:
+            columns.append(self._finish(batch), share_done=1.0)
+            if progress is not None:
+                progress(done, len(self.assigned))
+        return columns
 
     def note_unevaluated_labels(self) -> None:
         """Note which of the data set's other classes there were boxes of."""

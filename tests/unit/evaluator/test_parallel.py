@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import zipfile
 from multiprocessing import active_children, get_context
 from multiprocessing.context import BaseContext
@@ -16,6 +17,7 @@ from evaluator import parallel
 from evaluator.ground_truth import GroundTruth, read_ground_truth
 from evaluator.parallel import TwoProcesses, evaluate_file, ground_truth_of
 from evaluator.protocol import CITYSCAPES3D
+from evaluator.strict import StrictReading
 
 CASE = Path(__file__).parents[2] / "data" / "oracle" / "realistic60"
 
@@ -50,6 +52,44 @@ def test_halves_give_the_same_bits(ground_truth: GroundTruth) -> None:
     assert two.statistics is not None
     assert one.statistics.to_bytes() == two.statistics.to_bytes()
     assert (one.scores, one.report, one.predictions_sha256) == (two.scores, two.report, two.predictions_sha256)
+
+
+@pytest.mark.parametrize("images", [1, 7, 60, 1000])
+def test_whoever_reads_what_the_bits_are_the_same(
+    ground_truth: GroundTruth, monkeypatch: pytest.MonkeyPatch, images: int
+) -> None:
+    """Image by image, or all at one turn, which leaves nothing to the other process; file after file."""
+    one = evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=False)
+    assert one.statistics is not None
+    monkeypatch.setattr(parallel, "_TURN_IMAGES", images)
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        for _ in range(3):
+            two = both.evaluate(CASE / "pred")
+            assert two.statistics is not None
+            assert one.statistics.to_bytes() == two.statistics.to_bytes()
+            assert (one.scores, one.report) == (two.scores, two.report)
+        assert both.is_split
+
+
+@pytest.mark.parametrize("slow", ["first", "second"])
+def test_a_slow_process_leaves_the_work_to_the_other(
+    ground_truth: GroundTruth, monkeypatch: pytest.MonkeyPatch, slow: str
+) -> None:
+    """While one process waits a tenth of a second for each file, the other one reads nearly all of them."""
+    read, here = StrictReading._read_bytes, os.getpid()
+
+    def slowed(reading: StrictReading, number: int) -> bytes | None:
+        if (os.getpid() == here) == (slow == "first"):
+            time.sleep(0.1)
+        counts[os.getpid() == here] += 1
+        return read(reading, number)
+
+    counts = {True: 0, False: 0}  # of the first process; what the second one counts stays there
+    monkeypatch.setattr(parallel, "_TURN_IMAGES", 1)
+    monkeypatch.setattr(StrictReading, "_read_bytes", slowed)
+    two = evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=True)
+    assert two.scores is not None
+    assert counts[True] < 20 if slow == "first" else counts[True] > 40
 
 
 @pytest.mark.parametrize(("fewest", "processes"), [(60, 1), (61, 0)])
