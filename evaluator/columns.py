@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from msgspec import UNSET
+from numpy.typing import NDArray
 
 from evaluator.decoding import Box
 from evaluator.predictions import Float64Array, IndexArray, Predictions
@@ -128,10 +130,11 @@ def _fill_modal(records: Sequence[Box]) -> int:
 class GrowingColumns:
     """Gathers the columns of one batch after the other, with room for those to come, so that each is copied once."""
 
-    def __init__(self) -> None:
-        """Start empty."""
+    def __init__(self, *, backwards: bool = False) -> None:
+        """Start empty; `backwards`: what is appended comes last box first, and is put before what there is."""
         self._columns, _ = ColumnBuilder(()).build(np.empty(0, dtype=np.int32))
         self._count = 0
+        self._backwards = backwards
 
     def append(self, columns: Columns, *, share_done: float) -> None:
         """Append a batch's columns.
@@ -140,19 +143,23 @@ class GrowingColumns:
             columns: those of the images that follow.
             share_done: with them, in (0, 1]; where room is short it is made for as many boxes as this promises.
         """
-        stop = self._count + len(columns.score)
+        start, stop = self._count, self._count + len(columns.score)
         if stop > len(self._columns.score):
             self._columns = self._enlarged(max(int(stop / share_done * _ROOM), stop + stop // 2))
         for name in Columns.__slots__:
-            getattr(self._columns, name)[self._count : stop] = getattr(columns, name)
+            self._in_order_of_arrival(getattr(self._columns, name))[start:stop] = getattr(columns, name)
         self._count = stop
 
-    def predictions(self, images: tuple[str, ...], labels: tuple[str, ...], *, backwards: bool = False) -> Predictions:
-        """Give everything that was appended, in its order or the last first."""
-        columns = {name: getattr(self._columns, name)[: self._count] for name in Columns.__slots__}
-        if backwards:
-            columns = {name: np.ascontiguousarray(column[::-1]) for name, column in columns.items()}
-        return Predictions(images=images, labels=labels, **columns)
+    def predictions(self, images: tuple[str, ...], labels: tuple[str, ...]) -> Predictions:
+        """Give everything that was appended, in the order of the images."""
+        rows = slice(len(self._columns.score) - self._count, None) if self._backwards else slice(self._count)
+        return Predictions(
+            images=images, labels=labels, **{name: getattr(self._columns, name)[rows] for name in Columns.__slots__}
+        )
+
+    def _in_order_of_arrival(self, column: NDArray[Any]) -> NDArray[Any]:
+        """View a column so that the first row is the one that came first."""
+        return column[::-1] if self._backwards else column
 
     def _enlarged(self, rows: int) -> Columns:
         """Copy what there is to where there is room for so many rows."""
@@ -160,5 +167,5 @@ class GrowingColumns:
         for name in Columns.__slots__:
             old = getattr(self._columns, name)
             enlarged[name] = np.empty((rows, *old.shape[1:]), dtype=old.dtype)
-            enlarged[name][: self._count] = old[: self._count]
+            self._in_order_of_arrival(enlarged[name])[: self._count] = self._in_order_of_arrival(old)[: self._count]
         return Columns(**enlarged)

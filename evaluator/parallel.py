@@ -31,6 +31,7 @@ from evaluator.ground_truth import GroundTruth
 from evaluator.intake import read_predictions
 from evaluator.limits import DEFAULT_LIMITS
 from evaluator.matching import evaluated_labels
+from evaluator.memory import keep_freed_memory
 from evaluator.predictions import Float64Array, Predictions
 from evaluator.protocol import Protocol
 from evaluator.report import ProblemGroup, Report
@@ -43,7 +44,7 @@ _T = TypeVar("_T")
 FEWEST_IMAGES = 200
 """With fewer a second process costs about what it saves."""
 
-_TURN_IMAGES = 16
+_TURN_IMAGES = 4
 """Images read at a turn: little work, so that neither process waits long for the other's last turn."""
 
 _MOST_TURNS = 4096
@@ -61,17 +62,6 @@ class FileEvaluation:
     predictions_sha256: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """What one process found on its images."""
-
-    statistics: Statistics
-    score: Float64Array
-    """(N,) of its boxes."""
-    label_counts: NDArray[np.int64]
-    """(L,) boxes of each known class."""
-
-
 def two_processes_help() -> bool:
     """Tell whether this machine has a second processor."""
     return len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1
@@ -80,7 +70,7 @@ def two_processes_help() -> bool:
 def evaluate_file(
     source: Path, ground_truth: GroundTruth, protocol: Protocol, *, ground_truth_sha256: str = "", split: bool
 ) -> FileEvaluation:
-    """Read a submission strictly and evaluate it.
+    """Read a submission strictly and evaluate it. Freed memory stays with the process (evaluator/memory.py).
 
     Args:
         source: Path of a zip or a folder, which must not change meanwhile.
@@ -96,6 +86,7 @@ def evaluate_file(
     if split:
         with TwoProcesses(ground_truth, protocol, ground_truth_sha256=ground_truth_sha256) as both:
             return both.evaluate(source)
+    keep_freed_memory()
     return _evaluate_in_one(source, ground_truth, protocol, ground_truth_sha256)
 
 
@@ -125,7 +116,11 @@ class TwoProcesses:
     """
 
     def __init__(self, ground_truth: GroundTruth, protocol: Protocol, *, ground_truth_sha256: str = "") -> None:
-        """Start the second process; leave the `with` block or call `close` to end it."""
+        """Start the second process; leave the `with` block or call `close` to end it.
+
+        From then on freed memory stays with both processes (evaluator/memory.py).
+        """
+        keep_freed_memory()
         self._ground_truth, self._protocol = ground_truth, protocol
         self._ground_truth_sha256 = ground_truth_sha256
         pays = len(ground_truth.images) >= FEWEST_IMAGES and "fork" in get_all_start_methods()
@@ -171,47 +166,64 @@ class TwoProcesses:
         """Evaluate with the second process; None when the submission is not clean."""
         other.turns.lay_out(len(self._ground_truth.images))
         other.send(source.absolute())  # it is where the first process was at the start
-        findings = Findings()
         sha256 = digest(source)
-        own = _evaluate_part(source, self._ground_truth, self._protocol, other.turns, findings, backwards=False)
-        second = other.receive(_Part)
-        other.send(None if own is None else len(own.predictions))
-        if own is None or second is None:
+        own = _read_part(source, self._ground_truth, self._protocol, other.turns, backwards=False)
+        boxes_after = other.receive(int)
+        if own is None or boxes_after is None:
+            other.send(None)
             return None
-        # The other process has a sample to take; meanwhile there is enough to do here.
-        statistics = join([own.part.statistics, second.statistics])
+        other.send(_Before.of(own, self._ground_truth, boxes_after=boxes_after))
+        own_statistics = _match(own, self._ground_truth, self._protocol)
+        second = other.receive(Statistics)
+        if second is None:
+            return None
+        # While the other process looks at the boxes of both and writes the report:
+        statistics = join([own_statistics, second])
         scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, sha256))
-        evidence = gather_evidence(own.predictions, self._ground_truth, after=len(second.score))
-        others = other.receive(Evidence)
-        if others is None:
+        report = other.receive(Report)
+        if report is None:
             return None
-        own.reading.label_counts = own.part.label_counts + second.label_counts
-        own.reading.note_unevaluated_labels()
-        score = np.concatenate([own.part.score, second.score])
-        conclude(score, Evidence.joined(evidence, others), findings)
-        images = len(self._ground_truth.images)
-        report = findings.report(images_expected=images, images_found=images, boxes=len(score))
         return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=sha256)
 
 
 @dataclass(frozen=True, slots=True)
 class _Read:
-    """A part with what it was read from."""
+    """A part of a submission that was read without anything to be said of its files."""
 
-    part: _Part
+    images: slice
+    """Which, all of them with their boxes in `predictions`, which has no boxes of the others."""
     predictions: Predictions
-    """Of all images, but with the boxes of the part only."""
     reading: StrictReading
+    findings: Findings
+    """What there is to say of the archive as a whole."""
 
 
-def _evaluate_part(
-    source: Path, ground_truth: GroundTruth, protocol: Protocol, turns: "_Turns", findings: Findings, *, backwards: bool
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """What the second process must know of the boxes before its own to write the report on all."""
+
+    score: Float64Array
+    """(N,) of each."""
+    label_counts: NDArray[np.int64]
+    """(L,) boxes of each known class."""
+    evidence: Evidence
+
+    @classmethod
+    def of(cls, own: _Read, ground_truth: GroundTruth, *, boxes_after: int) -> Self:
+        """Tell of the first process's boxes."""
+        evidence = gather_evidence(own.predictions, ground_truth, after=boxes_after)
+        return cls(own.predictions.score, own.reading.label_counts, evidence)
+
+
+def _read_part(
+    source: Path, ground_truth: GroundTruth, protocol: Protocol, turns: "_Turns", *, backwards: bool
 ) -> _Read | None:
-    """Read images until none is left and match them.
+    """Read images until none is left.
 
     Returns:
         None for a broken archive, and when there is anything to say of its files.
     """
+    findings = Findings()
     with open_source(source, DEFAULT_LIMITS, findings) as files:
         if files is None:
             return None
@@ -224,10 +236,25 @@ def _evaluate_part(
         if _groups(findings) != before:
             return None
         count = sum(taken)
-        part = slice(len(reading.assigned) - count, None) if backwards else slice(0, count)
-        truth, own = ground_truth_of(ground_truth, part), predictions_of(predictions, part)
-        statistics = collect(truth, own, match_by_protocol(truth, own, protocol), protocol)
-        return _Read(_Part(statistics, predictions.score, reading.label_counts), predictions, reading)
+        images = slice(len(reading.assigned) - count, None) if backwards else slice(0, count)
+        return _Read(images, predictions, reading, findings)
+
+
+def _match(own: _Read, ground_truth: GroundTruth, protocol: Protocol) -> Statistics:
+    """Match the images of a part."""
+    truth, predictions = ground_truth_of(ground_truth, own.images), predictions_of(own.predictions, own.images)
+    return collect(truth, predictions, match_by_protocol(truth, predictions, protocol), protocol)
+
+
+def _report(before: _Before, own: _Read, ground_truth: GroundTruth) -> Report:
+    """Write the report on the boxes of both processes."""
+    own.reading.label_counts += before.label_counts
+    own.reading.note_unevaluated_labels()
+    score = np.concatenate([before.score, own.predictions.score])
+    evidence = gather_evidence(own.predictions, ground_truth, before=len(before.score))
+    conclude(score, Evidence.joined(before.evidence, evidence), own.findings)
+    images = len(ground_truth.images)
+    return own.findings.report(images_expected=images, images_found=images, boxes=len(score))
 
 
 def _groups(findings: Findings) -> tuple[ProblemGroup, ...]:
@@ -350,8 +377,8 @@ class _Other:
         # Before multiprocessing, which would send SIGTERM, ignored where the first process does so, and wait for ever.
         atexit.register(self.close)
 
-    def send(self, message: Path | int | None) -> None:
-        """Tell what to evaluate, then how many boxes come before its own, None when that does not matter."""
+    def send(self, message: Path | _Before | None) -> None:
+        """Tell what to evaluate, then of the boxes before its own, None when that file is done with."""
         try:
             self._connection.send(message)
         except OSError:
@@ -376,14 +403,15 @@ class _Other:
 
 
 def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol, turns: _Turns) -> None:
-    """Answer one question of the first process: a part of a file, then the evidence of its boxes."""
+    """Answer the first process: boxes in the last part of a file, then their statistics, then the report on the whole."""
     source = connection.recv()
     with garbage_collection_paused():
         try:
-            done = _evaluate_part(source, ground_truth, protocol, turns, Findings(), backwards=True)
+            own = _read_part(source, ground_truth, protocol, turns, backwards=True)
         except (UsageError, OSError):  # the first process says it
-            done = None
-    connection.send(None if done is None else done.part)
-    boxes_before = connection.recv()
-    if done is not None and boxes_before is not None:
-        connection.send(gather_evidence(done.predictions, ground_truth, before=boxes_before))
+            own = None
+        connection.send(None if own is None else len(own.predictions))
+        before = connection.recv()
+        if own is not None and before is not None:
+            connection.send(_match(own, ground_truth, protocol))
+            connection.send(_report(before, own, ground_truth))

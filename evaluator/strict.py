@@ -63,13 +63,13 @@ class StrictReading:
             backwards: they come last image first; the boxes are in the usual order all the same.
         """
         columns = self._read(files, len(self.assigned) / 2, None, backwards=backwards)
-        return columns.predictions(self.images, self._labels, backwards=backwards)
+        return columns.predictions(self.images, self._labels)
 
     def _read(
         self, files: Iterable[tuple[int, int]], expected: float, progress: Progress | None, *, backwards: bool = False
     ) -> GrowingColumns:
         """Read files, of which so many are expected; where they come backwards, so do the boxes of each."""
-        columns = GrowingColumns()
+        columns = GrowingColumns(backwards=backwards)
         batch = _Batch(self._labels_in_order)
         done = finished = 0
         for done, (image, number) in enumerate(files, start=1):

@@ -26,9 +26,16 @@ def score_thresholds(protocol: Protocol) -> Float64Array:
 
 
 def active_masks(score: Float64Array, thresholds: Float64Array) -> MaskArray:
-    """Return (N,) at which thresholds predictions of these scores are active; never for NaN or below 0."""
-    level = np.searchsorted(thresholds, score, side="right")
-    level[np.isnan(score)] = 0
+    """Return (N,) at which thresholds predictions of these scores are active; never for NaN or below 0.
+
+    Args:
+        score: (N,) any numbers.
+        thresholds: (T,) of `score_thresholds`: from 0 to 1, and but for rounding as far from each other.
+    """
+    # Which one is the first that is not reached, only the grid's own numbers tell; a search in it takes five times as long.
+    near = (np.fmin(np.fmax(score, 0.0), 1.0) * (len(thresholds) - 1)).astype(np.intp)
+    after = np.append(thresholds, np.nan)[near + 1]
+    level = near + (thresholds[near] <= score) + (after <= score)
     return prefix_masks(len(thresholds))[level]
 
 

@@ -80,8 +80,9 @@ def rows_to_explain(
     for box_px in (amodal_px, modal_px):
         if not _all_within(box_px, -BOX_LIMIT_PX, BOX_LIMIT_PX):
             fine &= _rows_within(box_px, -BOX_LIMIT_PX, BOX_LIMIT_PX)
-        if not _all_within(box_px[:, 2:], 0.0, BOX_LIMIT_PX):
-            fine &= _rows_within(box_px[:, 2:], 0.0, BOX_LIMIT_PX)
+        for size_px in box_px.T[2:]:
+            if not _all_within(size_px, 0.0, BOX_LIMIT_PX):
+                fine &= (size_px >= 0.0) & (size_px <= BOX_LIMIT_PX)
     return np.logical_not(fine)
 
 

@@ -54,6 +54,9 @@ def _load_evaluator() -> None:
     import numpy.random  # noqa: PLC0415, F401 - likewise, for resampling
 
     import worker.jobs  # noqa: PLC0415, F401 - after the network is gone, which needs a process without threads
+    from evaluator.memory import keep_freed_memory  # noqa: PLC0415 - likewise
+
+    keep_freed_memory()
 
 
 def _run_in_child(job: AnyJob) -> int:

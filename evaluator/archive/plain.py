@@ -53,11 +53,9 @@ def plain_members(archive: Archive, directory: Directory, limits: Limits) -> tup
         and _agree(archive, entries, table["offset"].tolist())
     ):
         return ()
-    columns = (table[column].tolist() for column in ("method", "crc32", "packed", "expanded"))
-    return tuple(
-        Member(name.decode("ascii"), method, crc32, start, packed, expanded)
-        for name, start, method, crc32, packed, expanded in zip(names, starts.tolist(), *columns, strict=True)
-    )
+    method, crc32, packed, expanded = (table[name].tolist() for name in ("method", "crc32", "packed", "expanded"))
+    decoded = (name.decode("ascii") for name in names)
+    return tuple(map(Member._make, zip(decoded, method, crc32, starts.tolist(), packed, expanded, strict=True)))
 
 
 def _are_plain(table: NDArray[np.void], limits: Limits) -> bool:

@@ -18,7 +18,6 @@ from evaluator.codes import Code
 from evaluator.findings import Findings
 from evaluator.limits import MIB, Limits
 
-_CHUNK_BYTES = 1 << 20
 _SMALL_BYTES = 32 * MIB
 """An archive of which every byte is needed is held in memory up to this size; reading it piece by piece takes longer."""
 
@@ -157,5 +156,4 @@ def digest(path: Path) -> str:
 def _digest_into(total: "hashlib._Hash", path: Path) -> None:
     """Add a file's bytes piece by piece."""
     with path.open("rb") as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            total.update(chunk)
+        hashlib.file_digest(file, lambda: total)

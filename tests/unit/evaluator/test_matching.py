@@ -13,7 +13,7 @@ from evaluator.overlap import corners_px, covered_fractions, intersections_over_
 from evaluator.paper_matching import projected_boxes
 from evaluator.predictions import Float64Array
 from evaluator.projection_to_the_bit import projected_to_the_bit_px
-from evaluator.protocol import CITYSCAPES3D
+from evaluator.protocol import CITYSCAPES3D, MOST_SCORE_STEPS
 from evaluator.rounding import Pairs, settled
 from evaluator.thresholds import active_masks, count_by_group, prefix_masks, score_thresholds, unpacked
 from tests.array_factories import Box, annotated, make_ground_truth, make_predictions
@@ -55,6 +55,18 @@ def test_thresholds_are_the_floating_point_grid_of_the_reference() -> None:
 
     assert len(thresholds) == 51
     assert levels.tolist() == [35, 26, 51, 1, 0, 51, 0]
+
+
+@pytest.mark.parametrize("steps", range(1, MOST_SCORE_STEPS + 1))
+def test_a_score_is_active_at_all_thresholds_that_it_reaches(steps: int) -> None:
+    """On every grid, at each threshold and at the numbers next to it on both sides."""
+    thresholds = score_thresholds(msgspec.structs.replace(CITYSCAPES3D, score_steps=steps))
+    around = [np.nextafter(thresholds, side) for side in (-1.0, 2.0)]
+    score = np.concatenate([thresholds, *around, np.arange(0, 1001) / 1000, np.arange(0, 129) / 128])
+
+    levels = np.bitwise_count(active_masks(score, thresholds))
+
+    assert levels.tolist() == (thresholds <= score[:, None]).sum(axis=1).tolist()
 
 
 def test_the_better_overlap_wins_even_with_the_lower_score() -> None:
