@@ -10,9 +10,8 @@ writes it.
 import atexit
 import os
 import signal
-from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -32,23 +31,19 @@ from evaluator.intake import read_predictions
 from evaluator.limits import DEFAULT_LIMITS
 from evaluator.matching import evaluated_labels
 from evaluator.memory import keep_freed_memory
+from evaluator.parts import ground_truth_of, predictions_of
 from evaluator.predictions import Float64Array, Predictions
 from evaluator.protocol import Protocol
 from evaluator.report import ProblemGroup, Report
 from evaluator.results import Scores
 from evaluator.statistics import Statistics, collect, join
 from evaluator.strict import StrictReading
+from evaluator.turns import Turns
 
 _T = TypeVar("_T")
 
 FEWEST_IMAGES = 200
 """With fewer a second process costs about what it saves."""
-
-_TURN_IMAGES = 4
-"""Images read at a turn: little work, so that neither process waits long for the other's last turn."""
-
-_MOST_TURNS = 4096
-"""What an empty pipe holds on every system."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,7 +211,7 @@ class _Before:
 
 
 def _read_part(
-    source: Path, ground_truth: GroundTruth, protocol: Protocol, turns: "_Turns", *, backwards: bool
+    source: Path, ground_truth: GroundTruth, protocol: Protocol, turns: Turns, *, backwards: bool
 ) -> _Read | None:
     """Read images until none is left.
 
@@ -261,99 +256,13 @@ def _groups(findings: Findings) -> tuple[ProblemGroup, ...]:
     return findings.report(images_expected=0, images_found=0, boxes=0).groups
 
 
-def predictions_of(predictions: Predictions, part: slice) -> Predictions:
-    """Return the predictions of a part of the images, as views."""
-    first, stop, _ = part.indices(len(predictions.images))
-    rows = slice(*np.searchsorted(predictions.image_index, (first, stop)).tolist())
-    of_boxes = ("label_index", "score", "center_m", "dimensions_m", "rotation", "amodal_px", "modal_px")
-    return replace(
-        predictions,
-        images=predictions.images[part],
-        image_index=predictions.image_index[rows] - np.int32(first),
-        **{name: getattr(predictions, name)[rows] for name in of_boxes},
-    )
-
-
-def ground_truth_of(ground_truth: GroundTruth, part: slice) -> GroundTruth:
-    """Return the ground truth of a part of the images, as views."""
-    first, stop, _ = part.indices(len(ground_truth.images))
-    boxes = slice(*np.searchsorted(ground_truth.image_index, (first, stop)).tolist())
-    regions = slice(*np.searchsorted(ground_truth.ignore_image_index, (first, stop)).tolist())
-    of_boxes = (
-        "label_index", "prototype_index", "center_m", "dimensions_m", "rotation",
-        "amodal_px", "modal_px", "occlusion", "truncation",
-    )  # fmt: skip
-    return replace(
-        ground_truth,
-        images=ground_truth.images[part],
-        intrinsics_px=ground_truth.intrinsics_px[part],
-        sensor_from_vehicle=ground_truth.sensor_from_vehicle[part],
-        image_index=ground_truth.image_index[boxes] - np.int32(first),
-        ignore_image_index=ground_truth.ignore_image_index[regions] - np.int32(first),
-        ignore_px=ground_truth.ignore_px[regions],
-        **{name: getattr(ground_truth, name)[boxes] for name in of_boxes},
-    )
-
-
-class _Turns:
-    """The turns at reading a file's images that are left: one process takes them from the front, the other from the back.
-
-    A pipe holds a byte for each; who reads it has the turn. No lock, which a process might take with it into death.
-    """
-
-    def __init__(self) -> None:
-        """Make the pipe."""
-        self._source, self._sink = os.pipe()
-        os.set_blocking(self._source, False)
-
-    def lay_out(self, images: int) -> None:
-        """Begin anew with a file of so many images, while the other process waits for it."""
-        while self._is_mine():  # what an archive that broke left
-            pass
-        os.write(self._sink, bytes(-(-images // _images_at_a_turn(images))))
-
-    def take(
-        self, assigned: Sequence[tuple[int, int]], taken: list[int], *, backwards: bool
-    ) -> Iterator[tuple[int, int]]:
-        """Yield images and their files turn by turn until none is left.
-
-        Args:
-            assigned: Of all images.
-            taken: Receives how many images each turn had.
-            backwards: From the last image to the first.
-        """
-        step = _images_at_a_turn(len(assigned))
-        firsts = range(0, len(assigned), step)
-        for first in reversed(firsts) if backwards else firsts:
-            if not self._is_mine():
-                return
-            turn = assigned[first : first + step]
-            taken.append(len(turn))
-            yield from reversed(turn) if backwards else turn
-
-    def _is_mine(self) -> bool:
-        try:
-            return bool(os.read(self._source, 1))
-        except BlockingIOError:
-            return False
-
-    def close(self) -> None:
-        """Close the pipe."""
-        os.close(self._source)
-        os.close(self._sink)
-
-
-def _images_at_a_turn(images: int) -> int:
-    return max(_TURN_IMAGES, -(-images // _MOST_TURNS))
-
-
 class _Other:
     """The second process; it may die at any moment."""
 
     def __init__(self, ground_truth: GroundTruth, protocol: Protocol) -> None:
         """Start it; it shares the ground truth."""
         context = get_context("fork")
-        self.turns = _Turns()
+        self.turns = Turns()
         here, there = context.Pipe()
 
         def work() -> None:
@@ -402,7 +311,7 @@ class _Other:
         self.turns.close()
 
 
-def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol, turns: _Turns) -> None:
+def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol, turns: Turns) -> None:
     """Answer the first process: boxes in the last part of a file, then their statistics, then the report on the whole."""
     source = connection.recv()
     with garbage_collection_paused():

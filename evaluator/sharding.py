@@ -13,7 +13,7 @@ import msgspec
 from evaluator.evaluation import match_by_protocol, score_by_protocol
 from evaluator.ground_truth import GroundTruth
 from evaluator.integrity import IntegrityAudit, Variant, Variants, audit_variants, collect_variants, evenly_spread
-from evaluator.parallel import ground_truth_of, predictions_of
+from evaluator.parts import ground_truth_of, predictions_of
 from evaluator.predictions import Predictions
 from evaluator.protocol import Protocol, Signature
 from evaluator.results import Scores

@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
-from evaluator import parallel
+from evaluator import parallel, turns
 from evaluator.ground_truth import GroundTruth, read_ground_truth
-from evaluator.parallel import TwoProcesses, evaluate_file, ground_truth_of
+from evaluator.parallel import TwoProcesses, evaluate_file
+from evaluator.parts import ground_truth_of
 from evaluator.protocol import CITYSCAPES3D
 from evaluator.strict import StrictReading
 
@@ -61,7 +62,7 @@ def test_whoever_reads_what_the_bits_are_the_same(
     """Image by image, or all at one turn, which leaves nothing to the other process; file after file."""
     one = evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=False)
     assert one.statistics is not None
-    monkeypatch.setattr(parallel, "_TURN_IMAGES", images)
+    monkeypatch.setattr(turns, "_TURN_IMAGES", images)
     with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
         for _ in range(3):
             two = both.evaluate(CASE / "pred")
@@ -85,7 +86,7 @@ def test_a_slow_process_leaves_the_work_to_the_other(
         return read(reading, number)
 
     counts = {True: 0, False: 0}  # of the first process; what the second one counts stays there
-    monkeypatch.setattr(parallel, "_TURN_IMAGES", 1)
+    monkeypatch.setattr(turns, "_TURN_IMAGES", 1)
     monkeypatch.setattr(StrictReading, "_read_bytes", slowed)
     two = evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=True)
     assert two.scores is not None
@@ -157,6 +158,24 @@ def test_the_death_of_the_second_process_costs_time_only(ground_truth: GroundTru
         second = both.evaluate(CASE / "pred")
         assert not both.is_split
         assert (first.scores, first.report) == (second.scores, second.report)
+
+
+@pytest.mark.parametrize("step", ["_read_part", "_match", "_report"])
+def test_it_may_die_at_any_step(ground_truth: GroundTruth, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    """Whatever it had answered before its end: the same result, by one process."""
+    one = evaluate_file(CASE / "pred", ground_truth, CITYSCAPES3D, split=False)
+    take_the_step, here = getattr(parallel, step), os.getpid()
+
+    def die(*args: Any, **options: Any) -> Any:
+        if os.getpid() != here:
+            os._exit(1)
+        return take_the_step(*args, **options)
+
+    monkeypatch.setattr(parallel, step, die)
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        two = both.evaluate(CASE / "pred")
+        assert not both.is_split
+    assert (one.scores, one.report) == (two.scores, two.report)
 
 
 def test_the_second_process_ends_with_the_first() -> None:

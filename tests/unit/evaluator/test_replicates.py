@@ -11,7 +11,7 @@ from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate, signature_of
 from evaluator.ground_truth import read_ground_truth
 from evaluator.paper_replicates import ScoreCurves
-from evaluator.parallel import ground_truth_of
+from evaluator.parts import ground_truth_of
 from evaluator.predictions import Float64Array
 from evaluator.protocol import CITYSCAPES3D, PAPER, Protocol
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates, Replicator, every_bin, replicate

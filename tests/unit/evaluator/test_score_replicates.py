@@ -10,7 +10,7 @@ from evaluator.array_file import ArrayFileError, pack, unpack
 from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate
 from evaluator.ground_truth import read_ground_truth
-from evaluator.parallel import ground_truth_of
+from evaluator.parts import ground_truth_of
 from evaluator.protocol import CITYSCAPES3D, PAPER
 from evaluator.score_replicates import MDS, Draw, ScoreReplicates, score_replicates
 from evaluator.uncertainty import intervals, mds_replicates

@@ -11,7 +11,7 @@ from evaluator.confidence import LEVEL, Interval
 from evaluator.errors import UsageError
 from evaluator.evaluation import Evaluation, evaluate
 from evaluator.ground_truth import read_ground_truth
-from evaluator.parallel import ground_truth_of
+from evaluator.parts import ground_truth_of
 from evaluator.predictions import Float64Array
 from evaluator.protocol import CITYSCAPES3D
 from evaluator.replicates import MEANS, METRICS, replicate
