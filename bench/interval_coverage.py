@@ -1,11 +1,14 @@
 """How often a 95 % interval holds the truth, by simulation: where one is given, it should be 93 to 97 times in 100.
 
     python bench/interval_coverage.py [--data-sets=300] [--images=1525] [--protocol=cityscapes3d] [--without-depth-bins]
+                                      [--frames=1] [--unit=image]
 
 A synthetic benchmark of 4000 images plays the population, its scores are the truth. Each simulated data set draws
 images from it; the intervals of three submissions and of their differences are computed as always and compared with the
 truth. "62/81" means: of the data sets 81 % gave an interval, and 62 % of these intervals held the truth; "-" means that
-none did. The standard error of 95 % in N data sets is 22 / sqrt(N) percent points: 1.0 for 500.
+none did. With `--frames=3` each image drawn stands for a sequence whose one to three frames are all alike, the worst case of
+images that resemble each other; `--images` of these are drawn. Then intervals hold what they promise with `--unit=sequence`
+only. The standard error of 95 % in N data sets is 22 / sqrt(N) percent points: 1.0 for 500.
 """
 
 import argparse
@@ -14,9 +17,10 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -29,6 +33,7 @@ from evaluator.interval_rules import FEWEST_BOXES_FOR_DIFFERENCE, sufficient  # 
 from evaluator.predictions import Float64Array, IndexArray  # noqa: E402 - likewise
 from evaluator.protocol import PROTOCOLS, Protocol  # noqa: E402 - likewise
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates, replicate  # noqa: E402 - likewise
+from evaluator.resampling import Unit  # noqa: E402 - likewise
 from evaluator.statistics import Statistics  # noqa: E402 - likewise
 from evaluator.synthetic import (  # noqa: E402 - likewise
     QUALITIES,
@@ -63,6 +68,8 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=1525)
     parser.add_argument("--protocol", choices=PROTOCOLS, default="cityscapes3d")
     parser.add_argument("--without-depth-bins", action="store_true", help="takes a fraction of the time")
+    parser.add_argument("--frames", type=int, default=1, help="most frames of a sequence, all alike")
+    parser.add_argument("--unit", choices=get_args(Unit), default="image", help="what intervals draw as a whole")
     args = parser.parse_args()
     by_depth = not args.without_depth_bins
     populations = _populations(PROTOCOLS[args.protocol])
@@ -72,8 +79,12 @@ def main() -> None:
     hits = []
     for _ in range(args.data_sets):
         drawn = rng.integers(0, POPULATION, args.images)
-        hits.append(_hits([taken(population, drawn) for population in populations], truths, by_depth=by_depth))
+        frames = rng.integers(1, args.frames, args.images, endpoint=True) if args.frames > 1 else np.ones_like(drawn)
+        parts = [taken(population, drawn, frames) for population in populations]
+        hits.append(_hits(parts, truths, unit=args.unit, by_depth=by_depth))
     print(f"{args.protocol}, coverage of 95 % intervals in percent, {args.data_sets} data sets of {args.images} images")
+    if args.frames > 1:
+        print(f"each image stands up to {args.frames} times, drawn as a whole for the intervals: {args.unit}")
     _print_tables({key: np.concatenate([of_one[key] for of_one in hits]) for key in hits[0]})
 
 
@@ -96,9 +107,9 @@ def _share(hits: Float64Array) -> str:
     return f"{100 * given.mean():.1f}/{100 * len(given) / len(hits):.0f}" if len(given) else "-"
 
 
-def _hits(parts: list[Statistics], truths: list[Replicates], *, by_depth: bool) -> Hits:
+def _hits(parts: list[Statistics], truths: list[Replicates], *, unit: Unit, by_depth: bool) -> Hits:
     """Judge all intervals of one data set."""
-    found = [bootstrap(part, by_depth=by_depth) for part in parts]
+    found = [bootstrap(part, unit=unit, by_depth=by_depth) for part in parts]
     hits: Hits = {}
     for name, part, own, truth in zip(METHODS, parts, found, truths, strict=True):
         hits |= _method_hits(name, part, own, truth)
@@ -161,19 +172,23 @@ def _holds(interval: Interval | None, truth: float) -> float:
     return float("nan") if interval is None else float(interval.lower <= truth <= interval.upper)
 
 
-def taken(statistics: Statistics, images: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Statistics:
-    """Return the statistics of a data set that holds these images, each as often as it is named."""
+def taken(statistics: Statistics, images: NDArray[np.int64], frames: NDArray[np.int64]) -> Statistics:
+    """Return the statistics of a data set that holds a sequence for each of these images: so many frames, all like it."""
+    image_names = [
+        f"city_{number:06d}_{frame:06d}" for number, own in enumerate(frames.tolist()) for frame in range(own)
+    ]
+    images = np.repeat(images, frames)
     columns: dict[str, Any] = {}
     for side in ("ground_truth", "pair", "false_positive"):
         rows, image = _rows_of(getattr(statistics, f"{side}_image"), images)
         names = [field.name for field in fields(Statistics) if field.name.startswith(f"{side}_")]
         columns |= {name: getattr(statistics, name)[rows] for name in names}
         columns[f"{side}_image"] = image
-    return replace(statistics, images=tuple(f"city_{index:06d}_000000" for index in range(len(images))), **columns)
+    return replace(statistics, images=tuple(image_names), **columns)
 
 
 def _rows_of(
-    image_of_row: IndexArray, images: np.ndarray[tuple[int], np.dtype[np.int64]]
+    image_of_row: IndexArray, images: NDArray[np.int64]
 ) -> tuple[np.ndarray[Any, np.dtype[np.intp]], IndexArray]:
     """Return the rows of each of these images, one image after the other, and the place of their image."""
     order = np.argsort(image_of_row, kind="stable")

@@ -4,8 +4,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from client.evaluate import add_unit_option
+
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from evaluator.diagnosis.difference import Difference
+    from evaluator.resampling import Unit
     from evaluator.uncertainty import Comparison
 
 
@@ -20,6 +23,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("second", metavar="PRED_B", type=Path)
     parser.add_argument("--gt", metavar="GT", type=Path, required=True, help="the ground truth, *_gtBbox3d.json")
     parser.add_argument("--labels", metavar="L", nargs="+", help="classes to evaluate (default: the six that rank)")
+    add_unit_option(parser)
     parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
 
@@ -31,26 +35,31 @@ def run(args: argparse.Namespace) -> int:
     evaluations = evaluate_fully([args.first, args.second], args.gt, lenient=args.lenient, labels=args.labels)
     if evaluations is None:
         return 1
-    from evaluator.diagnosis.difference import explain_difference  # noqa: PLC0415 - keeps `cs3d --help` fast
-    from evaluator.uncertainty import compare  # noqa: PLC0415 - likewise
+    from evaluator.confidence import LEVEL  # noqa: PLC0415 - keeps `cs3d --help` fast
+    from evaluator.diagnosis.difference import explain_difference  # noqa: PLC0415 - likewise
+    from evaluator.uncertainty import RESAMPLES, SEED, compare  # noqa: PLC0415 - likewise
 
     first, second = evaluations
     difference = explain_difference(first.scores, second.scores)
-    paired = compare(second.statistics, first.statistics)
+    unit: Unit = args.unit or "image"
+    paired = compare(second.statistics, first.statistics, unit=unit)
     if args.json:
         import msgspec  # noqa: PLC0415 - not needed for the table
 
-        print(msgspec.json.format(msgspec.json.encode({"difference": difference, "paired": paired})).decode())
+        drawn = {"unit": unit, "resamples": RESAMPLES, "seed": SEED, "level": LEVEL}
+        document = {"difference": difference, "paired": paired, "bootstrap": drawn}
+        print(msgspec.json.format(msgspec.json.encode(document)).decode())
         return 0
-    print(difference_text(difference, paired["mds"]))
+    print(difference_text(difference, paired["mds"], unit))
     return 0
 
 
-def difference_text(difference: "Difference", paired: "Comparison | None") -> str:
+def difference_text(difference: "Difference", paired: "Comparison | None", unit: "Unit") -> str:
     """Return the split as a table, in percent points, below it what explains it, and both signatures last."""
     from client.score_text import zeroed_note  # noqa: PLC0415 - not needed for JSON
     from client.text_table import percent, points, text_table  # noqa: PLC0415 - likewise
     from evaluator.diagnosis.loss import PARTS  # noqa: PLC0415 - likewise
+    from evaluator.resampling import UNITS  # noqa: PLC0415 - likewise
 
     lines = [(part.label, part.parts, part.total) for part in difference.classes]
     rows = [
@@ -61,17 +70,17 @@ def difference_text(difference: "Difference", paired: "Comparison | None") -> st
     title = f"mDS {percent(difference.mds[0])} -> {percent(difference.mds[1])}: points of mDS by class and part"
     zeroed = zip(("first", "second"), difference.zeroed_labels, strict=True)
     notes = [f"In the {place} submission {zeroed_note(labels)}" for place, labels in zeroed if labels]
-    chance = f"Paired bootstrap over images: {_chance_text(paired)}"
+    chance = f"Paired bootstrap over {UNITS[unit]}: {_chance_text(paired, UNITS[unit])}"
     signatures = "\n".join(map(str, difference.signatures))
     return "\n\n".join([text_table(title, header, rows), *notes, chance, signatures])
 
 
-def _chance_text(paired: "Comparison | None") -> str:
+def _chance_text(paired: "Comparison | None", drawn: str) -> str:
     """Say whether the difference can be chance."""
     from client.text_table import points  # noqa: PLC0415 - not needed for JSON
 
     if paired is None:
-        return "n/a, there are too few images or boxes of a class for it."
+        return f"n/a, there are too few {drawn} or boxes of a class for it."
     interval = paired.difference
     return (
         f"difference {points(interval.estimate)}, 95 % interval "

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
     from evaluator.protocol import Protocol
+    from evaluator.resampling import Unit
     from evaluator.results import Scores
     from evaluator.statistics import Statistics
     from evaluator.uncertainty import Uncertainty
@@ -46,11 +47,21 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--modal", action="store_true", help="match the submitted modal boxes")
     parser.add_argument("--protocol", choices=("cityscapes3d", "paper"), default="cityscapes3d", help="which rules")
     parser.add_argument("--intervals", action="store_true", help="add 95 %% confidence intervals (bootstrap, BCa)")
+    add_unit_option(parser)
     parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
     parser.add_argument(
         "--format", choices=FORMATS, default="table", help="table, json or the reference's results.json"
     )
     parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="write there instead of to the terminal")
+
+
+def add_unit_option(parser: argparse.ArgumentParser) -> None:
+    """Declare the option that says what a bootstrap draws."""
+    parser.add_argument(
+        "--unit",
+        choices=("image", "sequence", "city"),
+        help="what the bootstrap draws as a whole: images of one drive resemble each other (default: image)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,15 +77,15 @@ def run(args: argparse.Namespace) -> int:
         return 1
     if args.labels:
         note_unknown_labels(found.statistics)
-    uncertainty = _uncertainty(found.statistics) if args.intervals else None
+    uncertainty = _uncertainty(found.statistics, args.unit or "image") if args.intervals else None
     _write(formatted(found.scores, args.format, uncertainty), args.output)
     return 0
 
 
-def _uncertainty(statistics: "Statistics") -> "Uncertainty":
+def _uncertainty(statistics: "Statistics", unit: "Unit") -> "Uncertainty":
     from evaluator.uncertainty import intervals  # noqa: PLC0415 - seldom needed
 
-    return intervals(statistics)
+    return intervals(statistics, unit=unit)
 
 
 def protocol_from(args: argparse.Namespace) -> "Protocol":
@@ -106,6 +117,7 @@ def protocol_from(args: argparse.Namespace) -> "Protocol":
         not args.intervals or bins <= MOST_DEPTH_BINS_WITH_INTERVALS,
         f"--max-depth / --step-size must not exceed {MOST_DEPTH_BINS_WITH_INTERVALS} with --intervals.",
     )
+    _require(args.intervals or not args.unit, "--unit says what --intervals draws as a whole; add --intervals.")
     _require(
         not (args.intervals and args.format == "cityscapes"), "the reference's format has no place for --intervals."
     )

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from client.text_table import UNDEFINED, aligned, number, percent
 from evaluator.interval_rules import can_be_resampled
 from evaluator.replicates import MEANS, METRICS
+from evaluator.resampling import UNITS
 from evaluator.results import Scores
 
 if TYPE_CHECKING:  # slow to import and seldom needed
@@ -55,8 +56,11 @@ def _last_lines(scores: Scores, uncertainty: "Uncertainty | None") -> list[str]:
     line = f"mDS {percent(scores.mds)}  {scores.signature}"
     if uncertainty is None:
         return [line]
-    level, drawn = f"{100 * uncertainty.level:g} %", f"{uncertainty.resamples} resamples of the {uncertainty.unit}s"
-    protocol, reason = scores.signature.protocol, "too few images or boxes"
+    level, drawn = (
+        f"{100 * uncertainty.level:g} %",
+        f"{uncertainty.resamples} resamples of the {UNITS[uncertainty.unit]}",
+    )
+    protocol, reason = scores.signature.protocol, f"too few {UNITS[uncertainty.unit]} or boxes"
     if not can_be_resampled(protocol).all():
         reason += f", and all but AP by the protocol {protocol.name}"
     return [

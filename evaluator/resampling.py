@@ -6,7 +6,7 @@ evaluated at different times, can be compared on the same ones.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from evaluator.predictions import IndexArray
 
 Unit = Literal["image", "sequence", "city"]
 """What is drawn as a whole: names are `<city>_<sequence>_<frame>`."""
+
+UNITS: dict[Unit, str] = {"image": "images", "sequence": "sequences", "city": "cities"}
+"""Each unit, and several of it."""
 
 FEWEST_TO_DRAW_FROM = 2
 """One unit drawn as often as there are units is the same data set each time: nothing would vary."""
@@ -148,8 +151,8 @@ def unit_index(images: tuple[str, ...], unit: Unit) -> IndexArray:
     Raises:
         UsageError: There is no such unit.
     """
-    if unit not in get_args(Unit):
-        raise UsageError(f"{unit!r} cannot be drawn; choose one of {', '.join(get_args(Unit))}.")
+    if unit not in UNITS:
+        raise UsageError(f"{unit!r} cannot be drawn; choose one of {', '.join(UNITS)}.")
     dropped_parts = {"image": 0, "sequence": 1, "city": 2}[unit]
     names = [image.rsplit("_", dropped_parts)[0] if dropped_parts else image for image in images]
     number = {name: index for index, name in enumerate(sorted(set(names)))}

@@ -1,6 +1,7 @@
 """Confidence intervals on the command line, on an imaginary benchmark large enough for some."""
 
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,69 @@ def test_intervals_are_of_a_hundred_depth_bins_at_most(benchmark: Path, capsys: 
     assert _evaluate(benchmark, *bins, "--intervals") == 2
     assert "must not exceed 100 with --intervals" in capsys.readouterr().err
     assert _evaluate(benchmark, *bins) == 0
+
+
+def _in_sequences(benchmark: Path, folder: Path, frames: int) -> Path:
+    """Rename the images so that so many after each other are frames of one sequence."""
+    for name in ("gt.zip", "good.zip", "bad.zip"):
+        with zipfile.ZipFile(benchmark / name) as archive:
+            files = {own: archive.read(own) for own in sorted(archive.namelist())}
+        write_zip(
+            {
+                f"city_{number // frames:06d}_{number % frames:06d}_{own.rpartition('_')[2]}": data
+                for number, (own, data) in enumerate(files.items())
+            },
+            folder / name,
+        )
+    return folder
+
+
+def test_whole_sequences_can_be_drawn(benchmark: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where each image is a sequence it is the same; with two frames in each, 250 sequences are too few."""
+    compared = ["compare", "--labels", "car", "--json", "--gt"]
+    said = {}
+    for frames, unit in ((1, "image"), (1, "sequence"), (2, "sequence"), (2, "city")):
+        folder = tmp_path / f"{frames} {unit}"
+        folder.mkdir()
+        _in_sequences(benchmark, folder, frames)
+        assert _evaluate(folder, "--intervals", "--unit", unit, "--format", "json") == 0
+        uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
+        assert uncertainty["unit"] == unit
+        assert (
+            main(
+                [
+                    *compared,
+                    str(folder / "gt.zip"),
+                    *(str(folder / f"{name}.zip") for name in ("good", "bad")),
+                    "--unit",
+                    unit,
+                ]
+            )
+            == 0
+        )
+        comparison = json.loads(capsys.readouterr().out)
+        assert comparison["bootstrap"] == {"unit": unit, "resamples": 1000, "seed": 20200614, "level": 0.95}
+        said[frames, unit] = uncertainty["classes"]["car"]["ap"], comparison["paired"]["mds"]
+
+    assert None not in said[1, "image"]
+    assert said[1, "image"] == said[1, "sequence"]
+    assert said[2, "sequence"] == said[2, "city"] == (None, None)
+
+
+def test_texts_name_what_is_drawn(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In both tables, and why there is nothing."""
+    assert _evaluate(benchmark, "--intervals", "--unit", "city") == 0
+    assert "1000 resamples of the cities; n/a: too few cities or boxes." in capsys.readouterr().out
+
+    sides = [str(benchmark / name) for name in ("gt.zip", "good.zip", "bad.zip")]
+    assert main(["compare", "--gt", *sides, "--unit", "city"]) == 0
+    assert "Paired bootstrap over cities: n/a, there are too few cities or boxes" in capsys.readouterr().out
+
+
+def test_a_unit_without_intervals_is_wrong_usage(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing would be drawn."""
+    assert _evaluate(benchmark, "--unit", "sequence") == 2
+    assert "add --intervals" in capsys.readouterr().err
 
 
 def test_compare_prints_difference_interval_and_p_value(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
