@@ -262,8 +262,8 @@ class _Other:
     def __init__(self, ground_truth: GroundTruth, protocol: Protocol) -> None:
         """Start it; it shares the ground truth."""
         context = get_context("fork")
+        here, there = context.Pipe()  # before the turns: it is closed with its last reference
         self.turns = Turns()
-        here, there = context.Pipe()
 
         def work() -> None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; this one is ended by the first

@@ -4,6 +4,8 @@ import hashlib
 import re
 import secrets
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from functools import cache
 from urllib.parse import urlsplit
@@ -115,11 +117,13 @@ def hash_password(password: str) -> str:
 
     Raises:
         InvalidField: It is too short.
+        Unavailable: Too many passwords are being hashed.
     """
     if len(password) < MIN_PASSWORD_LENGTH:
         message = f"password must have at least {MIN_PASSWORD_LENGTH} characters"
         raise InvalidField(message)
-    return _hasher().hash(password)
+    with _few_at_once():
+        return _hasher().hash(password)
 
 
 def set_password(session: Session, user: User, password: str, *, actor: str) -> None:
@@ -328,21 +332,29 @@ def authenticate_password(session: Session, email: str, password: str) -> User:
     """
     user = session.scalar(sa.select(User).where(User.email == email.strip().lower()))
     known_hash = user.password_hash if user else None
-    if not _HASHING.acquire(timeout=_HASHING_PATIENCE_S):
-        raise Unavailable("too many people log in at this moment; try again in a few seconds")
     try:
-        _hasher().verify(known_hash or _no_password_hash(), password)
+        with _few_at_once():
+            _hasher().verify(known_hash or _no_password_hash(), password)
     except argon2.exceptions.VerificationError as error:
         raise NotAuthenticated(_WRONG_LOGIN) from error
-    finally:
-        _HASHING.release()
     if user is None or known_hash is None or user.disabled_at is not None:
         raise NotAuthenticated(_WRONG_LOGIN)
     return user
 
 
+@contextmanager
+def _few_at_once() -> Iterator[None]:
+    """Wait for a place to hash a password; raises Unavailable when there is none for long."""
+    if not _HASHING.acquire(timeout=_HASHING_PATIENCE_S):
+        raise Unavailable("too many people log in at this moment; try again in a few seconds")
+    try:
+        yield
+    finally:
+        _HASHING.release()
+
+
 _HASHING = threading.BoundedSemaphore(4)
-"""Each check takes 64 MiB and a processor, so logging in must not be a way to take all of either."""
+"""Each takes 64 MiB and a processor, so logging in must not be a way to take all of either."""
 _HASHING_PATIENCE_S = 5.0
 
 _WRONG_LOGIN = "e-mail address or password is wrong; a maintainer can set a new password"

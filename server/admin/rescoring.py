@@ -147,7 +147,7 @@ def retry(args: argparse.Namespace, services: Services) -> Outcome:
         chosen = submissions.find(session, args.submission).id if args.submission else None
         items = rescoring_decisions.retry(session, record.get_running(session, _phase(session, args)), actor(), chosen)
     data = {"retried": len(items), "sent": _send(services, items)}
-    return Outcome(data=data, text=f"{len(items)} submissions wait again.")
+    return Outcome(data=data, text=f"{counted(len(items), 'submission waits', 'submissions wait')} again.")
 
 
 def exclude(args: argparse.Namespace, services: Services) -> Outcome:

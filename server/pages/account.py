@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import Response
 
 from server import accounts, database
-from server.api.identity import Identity
+from server.api.identity import Identity, LoginSession
 from server.errors import InvalidField, NotAuthenticated, NotFound
 from server.models import Team, Token, User
 from server.pages.rendering import Context, html
@@ -65,6 +65,35 @@ def account(visit: VisitDependency) -> Response:
     return visit.show_own("account.html", _account)
 
 
+@router.post("/account/password")
+def change_password(visit: VisitDependency, fields: FieldsDependency) -> Response:
+    """Replace the user's password, who must know the one of before; every other session ends."""
+    visit.check_form(fields)
+    identities = visit.web.identities
+    address = visit.request.client.host if visit.request.client else ""
+    identities.check_rate("login", address)
+    try:
+        with visit.web.services.snapshot() as session:
+            user = identities.user_of(session, visit.login)
+            if user is None:
+                return see_other("/login")
+            accounts.authenticate_password(session, user.email, fields.get("current", ""))
+        with visit.web.services.transaction() as session:
+            user = identities.user_of(session, visit.login)
+            if user is None:
+                return see_other("/login")
+            accounts.set_password(session, user, fields.get("new", ""), actor=Identity(user, None).actor)
+            login = identities.new_login(user)
+    except NotAuthenticated:
+        identities.count_failure("login", address)
+        return _password_form(visit, visit.login, error="The current password is wrong.", status=401)
+    except InvalidField as error:
+        return _password_form(visit, visit.login, error=f"The new {error}.", status=422)
+    response = _password_form(visit, login)
+    identities.set_cookie(visit.request, response, login)
+    return response
+
+
 @router.post("/account/tokens")
 def make_token(visit: VisitDependency, fields: FieldsDependency) -> Response:
     """Make a token and show its secret, this once."""
@@ -113,12 +142,25 @@ def _login_form(visit: Visit, *, next_: str, email: str = "", error: str = "", s
     return response
 
 
+def _password_form(visit: Visit, login: LoginSession | None, *, error: str = "", status: int = 200) -> Response:
+    """Show the account with what came of changing the password."""
+    with visit.web.services.snapshot() as session:
+        user = visit.web.identities.user_of(session, login)
+        if user is None:
+            return see_other("/login")
+        context = _account(session, user) | {"password_error": error, "password_changed": not error}
+        return html(visit.request, "account.html", user=user, login=login, status=status, **context)
+
+
 def _account(session: Session, user: User) -> Context:
     return {
         "teams": accounts.teams_of(session, user),
         "tokens": accounts.tokens_of(session, user),
         "days": TOKEN_DAYS,
         "secret": None,
+        "password_error": "",
+        "password_changed": False,
+        "fewest_characters": accounts.MIN_PASSWORD_LENGTH,
         "now": database.now(session),
     }
 

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from evaluator.protocol import Signature
 from evaluator.uncertainty import Comparison
 from server import standings
+from server.models import Score
 from server.ranking import LeaderboardRow, scores_of
 
 Metric = Literal["detection_score", "ap", "bevcd", "yaw_sim", "pr_sim", "size_sim"]
@@ -142,8 +143,8 @@ def zeroed_labels(row: LeaderboardRow) -> tuple[str, ...]:
     return scores_of(row.summary).zeroed_labels
 
 
-def signature_of(row: LeaderboardRow) -> str:
-    """Print the signature of a row's score."""
+def signature_of(row: LeaderboardRow | Score) -> str:
+    """Print the signature of a score."""
     return str(msgspec.convert(row.summary["signature"], Signature))
 
 
