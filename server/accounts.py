@@ -3,23 +3,17 @@
 import hashlib
 import re
 import secrets
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import datetime
-from functools import cache
 from urllib.parse import urlsplit
 
-import argon2
 import sqlalchemy as sa
 from sqlalchemy.orm import Session, joinedload, selectinload
 
-from server import audit, database
-from server.errors import Conflict, Forbidden, InvalidField, NotAuthenticated, NotFound, Unavailable
+from server import audit, database, passwords
+from server.errors import Conflict, Forbidden, InvalidField, NotAuthenticated, NotFound
 from server.models import Membership, Team, Token, User
 
 SECRET_PREFIX = "cs3d_"  # noqa: S105 - the public beginning of every token, so that leaked ones can be found
-MIN_PASSWORD_LENGTH = 10
 SLUG = re.compile(r"[a-z0-9](?:[a-z0-9._\-]{0,62}[a-z0-9])?")
 """Forms have it as their pattern, too; browsers want the hyphen escaped."""
 
@@ -72,17 +66,6 @@ def checked_url(field: str, url: str) -> str:
     return url
 
 
-@cache
-def _hasher() -> argon2.PasswordHasher:
-    return argon2.PasswordHasher()
-
-
-@cache
-def _no_password_hash() -> str:
-    """Give a hash that is checked when there is none, so that a wrong e-mail address takes as long as a wrong password."""
-    return _hasher().hash(secrets.token_urlsafe(16))
-
-
 def create_user(
     session: Session, *, email: str, name: str, password: str | None, is_maintainer: bool = False, actor: str
 ) -> User:
@@ -102,7 +85,7 @@ def create_user(
     user = User(
         email=email,
         name=checked_text("name", name, max_length=200),
-        password_hash=None if password is None else hash_password(password),
+        password_hash=None if password is None else passwords.hashed(password),
         is_maintainer=is_maintainer,
         created_at=database.now(session),
     )
@@ -110,20 +93,6 @@ def create_user(
     session.flush()
     audit.record(session, actor=actor, action="user.created", subject=audit.subject_of(user), maintainer=is_maintainer)
     return user
-
-
-def hash_password(password: str) -> str:
-    """Hash a new password with Argon2id; about 0.3 s.
-
-    Raises:
-        InvalidField: It is too short.
-        Unavailable: Too many passwords are being hashed.
-    """
-    if len(password) < MIN_PASSWORD_LENGTH:
-        message = f"password must have at least {MIN_PASSWORD_LENGTH} characters"
-        raise InvalidField(message)
-    with _few_at_once():
-        return _hasher().hash(password)
 
 
 def set_password(session: Session, user: User, password: str, *, actor: str) -> None:
@@ -134,7 +103,7 @@ def set_password(session: Session, user: User, password: str, *, actor: str) -> 
         InvalidField: The password is too short.
     """
     _require_access(user)
-    user.password_hash = hash_password(password)
+    user.password_hash = passwords.hashed(password)
     audit.record(session, actor=actor, action="user.password_set", subject=audit.subject_of(user))
 
 
@@ -331,33 +300,11 @@ def authenticate_password(session: Session, email: str, password: str) -> User:
         Unavailable: Too many passwords are being checked.
     """
     user = session.scalar(sa.select(User).where(User.email == email.strip().lower()))
-    known_hash = user.password_hash if user else None
-    try:
-        with _few_at_once():
-            _hasher().verify(known_hash or _no_password_hash(), password)
-    except argon2.exceptions.VerificationError as error:
-        raise NotAuthenticated(_WRONG_LOGIN) from error
-    if user is None or known_hash is None or user.disabled_at is not None:
-        raise NotAuthenticated(_WRONG_LOGIN)
+    is_right = passwords.is_right(password, user.password_hash if user else None)
+    if user is None or not is_right or user.disabled_at is not None:
+        message = "e-mail address or password is wrong; a maintainer can set a new password"
+        raise NotAuthenticated(message)
     return user
-
-
-@contextmanager
-def _few_at_once() -> Iterator[None]:
-    """Wait for a place to hash a password; raises Unavailable when there is none for long."""
-    if not _HASHING.acquire(timeout=_HASHING_PATIENCE_S):
-        raise Unavailable("too many people log in at this moment; try again in a few seconds")
-    try:
-        yield
-    finally:
-        _HASHING.release()
-
-
-_HASHING = threading.BoundedSemaphore(4)
-"""Each takes 64 MiB and a processor, so logging in must not be a way to take all of either."""
-_HASHING_PATIENCE_S = 5.0
-
-_WRONG_LOGIN = "e-mail address or password is wrong; a maintainer can set a new password"
 
 
 def find_user(session: Session, email: str) -> User:

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Path
 from sqlalchemy.orm import Session
 from starlette.responses import Response
 
-from server import accounts, database
+from server import accounts, database, passwords
 from server.api.identity import Identity, LoginSession
 from server.errors import InvalidField, NotAuthenticated, NotFound
 from server.models import Team, Token, User
@@ -160,7 +160,7 @@ def _account(session: Session, user: User) -> Context:
         "secret": None,
         "password_error": "",
         "password_changed": False,
-        "fewest_characters": accounts.MIN_PASSWORD_LENGTH,
+        "fewest_characters": passwords.FEWEST_CHARACTERS,
         "now": database.now(session),
     }
 
