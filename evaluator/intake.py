@@ -4,6 +4,7 @@
 what the reference takes. None of the functions raises for bad data.
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,8 +62,9 @@ def read_predictions(
             reading.note_unevaluated_labels()
             examine(predictions, images=images, known_labels=reading.known_labels, findings=findings)
             found, expected, boxes = len(reading.assigned), len(reading.images), reading.boxes
+        sha256 = digest(source) if files is None else files.sha256()
     report = findings.report(images_expected=expected, images_found=found, boxes=boxes)
-    return Intake(predictions=predictions if report.accepted else None, report=report, sha256=digest(source))
+    return Intake(predictions=predictions if report.accepted else None, report=report, sha256=sha256)
 
 
 def read_predictions_leniently(
@@ -81,16 +83,15 @@ def read_predictions_leniently(
     """
     findings = Findings()
     reading = LenientReading(images.images, labels, findings)
-    if source.is_dir():
-        reading.read(LinkFollowingFolder(source))
-    else:
-        with open_source(source, NO_LIMITS, findings) as files:
-            if files is not None:
-                reading.read(files)
+    opened = nullcontext(LinkFollowingFolder(source)) if source.is_dir() else open_source(source, NO_LIMITS, findings)
+    with opened as files:
+        if files is not None:
+            reading.read(files)
+        sha256 = digest(source) if files is None else files.sha256()
     expected, found = len(images.images), reading.images_found
     report = findings.report(images_expected=expected, images_found=found, boxes=len(reading.rows))
     predictions = reading.predictions() if report.accepted else None
-    return Intake(predictions=predictions, report=report, sha256=digest(source))
+    return Intake(predictions=predictions, report=report, sha256=sha256)
 
 
 def check_archive(source: Path, limits: Limits = DEFAULT_LIMITS) -> Report:

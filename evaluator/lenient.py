@@ -6,6 +6,7 @@ centre is text or infinite, a broken file that belongs to no image) or computes 
 file that is needed cannot be read at all it is an error here, too.
 """
 
+import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -50,6 +51,17 @@ class LinkFollowingFolder:
             return (self._root / self.names[number]).read_bytes()
         except OSError as error:
             raise MemberError(Code.UNREADABLE, str(error.strerror)) from None
+
+    def sha256(self) -> str:
+        """Compute the SHA-256 as `digest` does, but of what the links lead to, as it is read; empty when unreadable."""
+        total = hashlib.sha256()
+        try:
+            for number in sorted(range(len(self.names)), key=self.names.__getitem__):
+                data = self.read(number)
+                total.update(f"{self.names[number]}\0{len(data)}\0".encode("utf-8", "surrogateescape") + data)
+        except MemberError:
+            return ""
+        return total.hexdigest()
 
 
 class LenientReading:

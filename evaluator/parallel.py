@@ -20,7 +20,7 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.archive import digest, open_source
+from evaluator.archive import open_source
 from evaluator.decoding import garbage_collection_paused
 from evaluator.doctor import Evidence, conclude, gather_evidence
 from evaluator.errors import UsageError
@@ -161,7 +161,6 @@ class TwoProcesses:
         """Evaluate with the second process; None when the submission is not clean."""
         other.turns.lay_out(len(self._ground_truth.images))
         other.send(source.absolute())  # it is where the first process was at the start
-        sha256 = digest(source)
         own = _read_part(source, self._ground_truth, self._protocol, other.turns, backwards=False)
         boxes_after = other.receive(int)
         if own is None or boxes_after is None:
@@ -174,11 +173,11 @@ class TwoProcesses:
             return None
         # While the other process looks at the boxes of both and writes the report:
         statistics = join([own_statistics, second])
-        scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, sha256))
+        scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, own.sha256))
         report = other.receive(Report)
         if report is None:
             return None
-        return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=sha256)
+        return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=own.sha256)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +190,8 @@ class _Read:
     reading: StrictReading
     findings: Findings
     """What there is to say of the archive as a whole."""
+    sha256: str
+    """Of the whole archive; empty in the second process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +226,7 @@ def _read_part(
         reading = StrictReading(files, ground_truth.images, evaluated_labels(protocol), DEFAULT_LIMITS, findings)
         if findings.error_count:
             return None
+        sha256 = "" if backwards else files.sha256()
         before = _groups(findings)
         taken: list[int] = []
         predictions = reading.read_part(turns.take(reading.assigned, taken, backwards=backwards), backwards=backwards)
@@ -232,7 +234,7 @@ def _read_part(
             return None
         count = sum(taken)
         images = slice(len(reading.assigned) - count, None) if backwards else slice(0, count)
-        return _Read(images, predictions, reading, findings)
+        return _Read(images, predictions, reading, findings, sha256)
 
 
 def _match(own: _Read, ground_truth: GroundTruth, protocol: Protocol) -> Statistics:

@@ -194,44 +194,43 @@ def _undefined_class(label: str, depth_bins: tuple[DepthBin, ...]) -> ClassScore
 
 def _depth_bins(protocol: Protocol, aggregates: Aggregates) -> list[tuple[DepthBin, ...]]:
     """Return the depth bins of each class."""
-    ground_truth, true_positives = aggregates.counts.ground_truth[:, :-1], aggregates.true_positives
-    precision, recall = depth_curves(aggregates.counts)
-    means = true_positives.sums / np.maximum(true_positives.counts, 1)[..., None]
+    found = aggregates.true_positives
+    means = found.sums / np.maximum(found.counts, 1)[..., None]
+    ground_truth = aggregates.counts.ground_truth[:, :-1]
+    # All at once: taken out of arrays one by one, numbers cost more than everything else here.
+    columns = (ground_truth, aggregates.depth_ap, *depth_curves(aggregates.counts), found.counts, means)
+    classes = zip(*(column.tolist() for column in columns), strict=True)
+    ranges_m = [
+        (lower_m, min(lower_m + protocol.depth_step_m, protocol.max_depth_m)) for lower_m in protocol.depth_bins_m
+    ]
     return [
         tuple(
-            _depth_bin(
-                range_m=(lower_m, min(lower_m + protocol.depth_step_m, protocol.max_depth_m)),
-                ground_truth_count=int(ground_truth[label, index]),
-                ap=float(aggregates.depth_ap[label, index]),
-                curve=(recall[label, index], precision[label, index]),
-                true_positive_count=int(true_positives.counts[label, index]),
-                means=means[label, index],
-            )
-            for index, lower_m in enumerate(protocol.depth_bins_m)
+            _depth_bin(range_m=range_m, boxes=boxes, ap=ap, curve=(recall, precision), found=matched, means=own)
+            for range_m, boxes, ap, precision, recall, matched, own in zip(ranges_m, *of_class, strict=True)
         )
-        for label in range(len(ground_truth))
+        for of_class in classes
     ]
 
 
 def _depth_bin(
     *,
     range_m: tuple[int, int],
-    ground_truth_count: int,
+    boxes: int,
     ap: float,
-    curve: tuple[Float64Array, Float64Array],
-    true_positive_count: int,
-    means: Float64Array,
+    curve: tuple[list[float], list[float]],
+    found: int,
+    means: list[float],
 ) -> DepthBin:
-    defined = means.tolist() if true_positive_count else [None] * len(SIMILARITIES)
-    recall, precision = (tuple(values.tolist()) if ground_truth_count else () for values in curve)
+    defined = means if found else [None] * len(SIMILARITIES)
+    recall, precision = map(tuple, curve if boxes else ((), ()))
     return DepthBin(
         lower_m=range_m[0],
         upper_m=range_m[1],
-        ground_truth_count=ground_truth_count,
-        ap=ap if ground_truth_count else None,
+        ground_truth_count=boxes,
+        ap=ap if boxes else None,
         recall=recall,
         precision=precision,
-        true_positive_count=true_positive_count,
+        true_positive_count=found,
         **dict(zip(SIMILARITIES, defined, strict=True)),
     )
 

@@ -32,6 +32,9 @@ class Source(Protocol):
     def read(self, number: int) -> bytes:
         """Read one file whole; raises MemberError."""
 
+    def sha256(self) -> str:
+        """Compute the SHA-256 of what is read, as `digest` does."""
+
 
 class ZipSource:
     """The files of an archive that passed the framing check."""
@@ -45,6 +48,15 @@ class ZipSource:
     def read(self, number: int) -> bytes:
         """Unpack and check one member."""
         return unpack(self._archive, self._members[number])
+
+    def sha256(self) -> str:
+        """Compute the SHA-256 of the archive, of the very bytes that are unpacked."""
+        if isinstance(self._archive, bytes):
+            return hashlib.sha256(self._archive).hexdigest()
+        total = hashlib.sha256()
+        for start in range(0, len(self._archive), MIB):
+            total.update(self._archive[start : start + MIB])
+        return total.hexdigest()
 
 
 class FolderSource:
@@ -67,6 +79,10 @@ class FolderSource:
         if len(data) > self._limits.file_bytes:
             raise MemberError(Code.FILE_TOO_LARGE, f"more than {self._limits.file_bytes} bytes")
         return data
+
+    def sha256(self) -> str:
+        """Compute the SHA-256 of all files with their names."""
+        return digest(self._root)
 
 
 @contextmanager

@@ -235,14 +235,14 @@ def test_an_exception_leaves_no_half_answer_behind(ground_truth: GroundTruth, mo
     """After an interruption the second process, which may be about to answer, is not asked again."""
     with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
         with monkeypatch.context() as patch:
-            patch.setattr(parallel, "digest", _interrupted)
+            patch.setattr(parallel, "open_source", _interrupted)
             with pytest.raises(KeyboardInterrupt):
                 both.evaluate(CASE / "pred")
         assert not both.is_split
         assert both.evaluate(CASE / "pred").scores is not None
 
 
-def _interrupted(_: Path) -> str:
+def _interrupted(*_: object) -> None:
     raise KeyboardInterrupt
 
 

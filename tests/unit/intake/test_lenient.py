@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from evaluator.archive import digest
 from evaluator.cityscapes_format import cityscapes_results
 from evaluator.evaluation import evaluate
 from evaluator.ground_truth import read_ground_truth
@@ -161,6 +162,23 @@ def test_links_to_files_are_followed(ground_truth: Path, tmp_path: Path) -> None
     assert read_predictions_leniently(folder, images=images).report.groups == ()
     strict = read_predictions(folder, images=images).report
     assert {group.code for group in strict.groups} == {"link_or_device", *(set() if strict.images_found else ())}
+
+
+def test_the_digest_is_of_what_links_lead_to(ground_truth: Path, tmp_path: Path) -> None:
+    """Links and copies of the same files have one digest; with other content it is another one."""
+    images = read_ground_truth(ground_truth).image_list()
+    digests = []
+    for number, content in enumerate((document(box()), document(box()), document())):
+        target, folder = tmp_path / f"{number}.json", tmp_path / f"pred{number}"
+        target.write_bytes(content)
+        folder.mkdir()
+        for name in IMAGES:
+            path = folder / f"{name}_pred.json"
+            path.symlink_to(target) if number else path.write_bytes(content)
+        digests.append(read_predictions_leniently(folder, images=images).sha256)
+
+    assert digests[0] == digests[1] == digest(tmp_path / "pred0")
+    assert digests[2] not in {digests[0], ""}
 
 
 def test_zip_is_read_leniently_too(ground_truth: Path, tmp_path: Path) -> None:

@@ -1,4 +1,5 @@
 import gc
+import hashlib
 import json
 import os
 import zipfile
@@ -192,6 +193,22 @@ def test_folder_and_zip_give_the_same(tmp_path: Path) -> None:
     assert one.report == two.report
     assert one.sha256 != two.sha256
     assert len(one.sha256) == len(two.sha256) == 64
+
+
+@pytest.mark.parametrize("in_memory", [True, False])
+def test_digest_of_a_zip_is_that_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, in_memory: bool
+) -> None:
+    """Whether it is held in memory or read piece by piece, and also where it cannot be opened."""
+    monkeypatch.setattr("evaluator.archive.source._SMALL_BYTES", 1 << 25 if in_memory else 0)
+    path = tmp_path / "pred.zip"
+    noise = Entry(
+        name=b"noise.txt", data=b"".join(number.to_bytes(4, "little") for number in range(700_000)), method=STORED
+    )
+    for archive in (write_zip(PAIR), write_zip([*PAIR, noise]), b"no zip"):
+        path.write_bytes(archive)
+        intake = read_predictions(path, images=_images(*IMAGES))
+        assert intake.sha256 == hashlib.sha256(archive).hexdigest()
 
 
 def test_digest_of_a_folder_depends_on_names_and_contents(tmp_path: Path) -> None:
