@@ -299,7 +299,7 @@ def test_decisions_by_command(
     assert (status, text) == (0, f"[{'#' * 10}{'-' * 20}] 1/3 2 waiting, 1 done\n")
     assert command("exclude", rough, "--reason", "its camera was wrong")[0] == 0
     assert "1 excluded" in command("status")[1]
-    assert command("retry", rough) == (0, "1 submissions wait again.\n")
+    assert command("retry", rough) == (0, "1 submission waits again.\n")
     assert command("exclude", rough, "--reason", " ")[0] == 1
     status, text = command("diff")
     assert status == 0
