@@ -56,11 +56,9 @@ def _last_lines(scores: Scores, uncertainty: "Uncertainty | None") -> list[str]:
     line = f"mDS {percent(scores.mds)}  {scores.signature}"
     if uncertainty is None:
         return [line]
-    level, drawn = (
-        f"{100 * uncertainty.level:g} %",
-        f"{uncertainty.resamples} resamples of the {UNITS[uncertainty.unit]}",
-    )
-    protocol, reason = scores.signature.protocol, f"too few {UNITS[uncertainty.unit]} or boxes"
+    level, units = f"{100 * uncertainty.level:g} %", UNITS[uncertainty.unit]
+    drawn = f"{uncertainty.resamples} resamples of the {units}"
+    protocol, reason = scores.signature.protocol, f"too few {units} or boxes"
     if not can_be_resampled(protocol).all():
         reason += f", and all but AP by the protocol {protocol.name}"
     return [
