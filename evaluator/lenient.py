@@ -53,13 +53,16 @@ class LinkFollowingFolder:
             raise MemberError(Code.UNREADABLE, str(error.strerror)) from None
 
     def sha256(self) -> str:
-        """Compute the SHA-256 as `digest` does, but of what the links lead to, as it is read; empty when unreadable."""
+        """Compute the SHA-256 as `digest` does, but of what the links lead to; empty when unreadable."""
         total = hashlib.sha256()
         try:
             for number in sorted(range(len(self.names)), key=self.names.__getitem__):
-                data = self.read(number)
-                total.update(f"{self.names[number]}\0{len(data)}\0".encode("utf-8", "surrogateescape") + data)
-        except MemberError:
+                path = self._root / self.names[number]
+                size_bytes = path.stat().st_size
+                total.update(f"{self.names[number]}\0{size_bytes}\0".encode("utf-8", "surrogateescape"))
+                with path.open("rb") as file:
+                    hashlib.file_digest(file, lambda: total)
+        except OSError:
             return ""
         return total.hexdigest()
 

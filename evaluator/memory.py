@@ -15,7 +15,7 @@ def keep_freed_memory() -> None:
     """Let the allocator keep up to 256 MiB of freed memory until the process ends, instead of giving it back.
 
     What is given back is handed out again page by page, each with an interrupt: 4,000 for 30 predictions in each of 1525
-    images, 8,000 for 100, a twentieth of the time. The peak stays the same. For the whole process; to be called again at
+    images, 8,000 for 100, a twentieth of the time. The peak grows by a few per cent. For the whole process; to be called again at
     no cost. Without glibc nothing happens.
     """
     with suppress(AttributeError, OSError, TypeError):

@@ -323,6 +323,12 @@ def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol
             own = None
         connection.send(None if own is None else len(own.predictions))
         before = connection.recv()
-        if own is not None and before is not None:
-            connection.send(_match(own, ground_truth, protocol))
-            connection.send(_report(before, own, ground_truth))
+        if own is None or before is None:
+            return
+        try:
+            statistics = _match(own, ground_truth, protocol)
+        except (UsageError, OSError):  # likewise
+            connection.send(None)
+            return
+        connection.send(statistics)
+        connection.send(_report(before, own, ground_truth))

@@ -95,15 +95,14 @@ def create_user(
     return user
 
 
-def set_password(session: Session, user: User, password: str, *, actor: str) -> None:
-    """Replace a user's password.
+def set_password(session: Session, user: User, password_hash: str, *, actor: str) -> None:
+    """Replace a user's password by one of which this is the hash (`passwords.hashed`, before the transaction).
 
     Raises:
         Conflict: The user is disabled.
-        InvalidField: The password is too short.
     """
     _require_access(user)
-    user.password_hash = passwords.hashed(password)
+    user.password_hash = password_hash
     audit.record(session, actor=actor, action="user.password_set", subject=audit.subject_of(user))
 
 

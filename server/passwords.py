@@ -48,7 +48,7 @@ def is_right(password: str, known_hash: str | None) -> bool:
 @contextmanager
 def _few_at_once() -> Iterator[None]:
     if not _AT_ONCE.acquire(timeout=_PATIENCE_S):
-        raise Unavailable("too many people log in at this moment; try again in a few seconds")
+        raise Unavailable("too many passwords are being checked at this moment; try again in a few seconds")
     try:
         yield
     finally:

@@ -33,7 +33,7 @@ class Source(Protocol):
         """Read one file whole; raises MemberError."""
 
     def sha256(self) -> str:
-        """Compute the SHA-256 of what is read, as `digest` does."""
+        """Compute the SHA-256 as `digest` does."""
 
 
 class ZipSource:
@@ -50,7 +50,7 @@ class ZipSource:
         return unpack(self._archive, self._members[number])
 
     def sha256(self) -> str:
-        """Compute the SHA-256 of the archive, of the very bytes that are unpacked."""
+        """Compute the SHA-256 of the file that is open, whatever stands at its path meanwhile."""
         if isinstance(self._archive, bytes):
             return hashlib.sha256(self._archive).hexdigest()
         total = hashlib.sha256()

@@ -5,7 +5,7 @@ import secrets
 import sys
 from datetime import UTC, datetime, timedelta
 
-from server import accounts
+from server import accounts, passwords
 from server.admin.command import Outcome, Subparsers, actor, add, counted, table, whole_number
 from server.admin.listing import listing
 from server.services import Services
@@ -75,8 +75,9 @@ def create_user(args: argparse.Namespace, services: Services) -> Outcome:
 def set_password(args: argparse.Namespace, services: Services) -> Outcome:
     """Give a user another password; without --password-stdin it is generated and shown once."""
     password = _password(args)
+    password_hash = passwords.hashed(password)
     with services.transaction() as session:
-        accounts.set_password(session, accounts.find_user(session, args.email), password, actor=actor())
+        accounts.set_password(session, accounts.find_user(session, args.email), password_hash, actor=actor())
     shown = {} if args.password_stdin else {"password": password}
     text = f"Password of {args.email} set." + "".join(f" Shown only now: {value}" for value in shown.values())
     return Outcome(data={"email": args.email, **shown}, text=text)

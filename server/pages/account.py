@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import Response
 
 from server import accounts, database, passwords
-from server.api.identity import Identity, LoginSession
+from server.api.identity import Identity
 from server.errors import InvalidField, NotAuthenticated, NotFound
 from server.models import Team, Token, User
 from server.pages.rendering import Context, html
@@ -62,7 +62,8 @@ def log_out(visit: VisitDependency, fields: FieldsDependency) -> Response:
 @router.get("/account")
 def account(visit: VisitDependency) -> Response:
     """Show the user's teams and tokens."""
-    return visit.show_own("account.html", _account)
+    changed = visit.request.query_params.get("password") == "changed"
+    return visit.show_own("account.html", lambda session, user: _account(session, user) | {"password_changed": changed})
 
 
 @router.post("/account/password")
@@ -78,18 +79,19 @@ def change_password(visit: VisitDependency, fields: FieldsDependency) -> Respons
             if user is None:
                 return see_other("/login")
             accounts.authenticate_password(session, user.email, fields.get("current", ""))
+        password_hash = passwords.hashed(fields.get("new", ""))
         with visit.web.services.transaction() as session:
             user = identities.user_of(session, visit.login)
             if user is None:
                 return see_other("/login")
-            accounts.set_password(session, user, fields.get("new", ""), actor=Identity(user, None).actor)
+            accounts.set_password(session, user, password_hash, actor=Identity(user, None).actor)
             login = identities.new_login(user)
     except NotAuthenticated:
         identities.count_failure("login", address)
-        return _password_form(visit, visit.login, error="The current password is wrong.", status=401)
+        return _password_form(visit, "The current password is wrong.", 401)
     except InvalidField as error:
-        return _password_form(visit, visit.login, error=f"The new {error}.", status=422)
-    response = _password_form(visit, login)
+        return _password_form(visit, f"The new {error}.", 422)
+    response = see_other("/account?password=changed")
     identities.set_cookie(visit.request, response, login)
     return response
 
@@ -142,14 +144,14 @@ def _login_form(visit: Visit, *, next_: str, email: str = "", error: str = "", s
     return response
 
 
-def _password_form(visit: Visit, login: LoginSession | None, *, error: str = "", status: int = 200) -> Response:
-    """Show the account with what came of changing the password."""
+def _password_form(visit: Visit, error: str, status: int) -> Response:
+    """Show the account with the reason why the password stays."""
     with visit.web.services.snapshot() as session:
-        user = visit.web.identities.user_of(session, login)
+        user = visit.web.identities.user_of(session, visit.login)
         if user is None:
             return see_other("/login")
-        context = _account(session, user) | {"password_error": error, "password_changed": not error}
-        return html(visit.request, "account.html", user=user, login=login, status=status, **context)
+        context = _account(session, user) | {"password_error": error}
+        return html(visit.request, "account.html", user=user, login=visit.login, status=status, **context)
 
 
 def _account(session: Session, user: User) -> Context:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Route
 
-from server import accounts
+from server import accounts, passwords
 from server.services import Services
 from tests.end_to_end.browser import PHONE, WIDE, Visitor, browsing, chromium
 from tests.integration.site import PASSWORD, Site, running_site
@@ -39,7 +39,9 @@ def stage(services: Services, broker: Broker, tmp_path: Path) -> Iterator[Stage]
     installation = Installation(services=services, broker=broker, folder=tmp_path)
     installation.populate(REALISTIC_CASE)
     with services.transaction() as session:
-        accounts.set_password(session, accounts.find_user(session, EMAIL), PASSWORD, actor="admin:test")
+        accounts.set_password(
+            session, accounts.find_user(session, EMAIL), passwords.hashed(PASSWORD), actor="admin:test"
+        )
     installation.start_worker()
     archive, broken = tmp_path / "predictions.zip", tmp_path / "broken.zip"
     archive.write_bytes(zip_of(REALISTIC_CASE / "pred"))

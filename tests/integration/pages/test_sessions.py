@@ -70,3 +70,14 @@ def test_a_password_is_not_changed_by_who_does_not_know_it(site: Site) -> None:
         assert (sent.status_code, sent.headers["location"]) == (303, "/login")
     with ann(site) as again:
         assert not _goes_to_login(again)
+
+
+def test_guesses_at_a_password_are_slowed_down(site: Site) -> None:
+    """In an open browser, too: after twenty wrong ones in a minute even the right one has to wait."""
+    with ann(site) as client:
+        form = {"csrf": csrf_of(client.get("/account").text), "current": "a guess", "new": NEW}
+        guesses = [client.post("/account/password", data=form).status_code for _ in range(20)]
+        refused = client.post("/account/password", data={**form, "current": PASSWORD})
+        assert not _goes_to_login(client)
+    assert guesses == [401] * 20
+    assert refused.status_code == 429
