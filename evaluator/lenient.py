@@ -6,7 +6,6 @@ centre is text or infinite, a broken file that belongs to no image) or computes 
 file that is needed cannot be read at all it is an error here, too.
 """
 
-import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluator.archive import MemberError, Source
+from evaluator.archive import MemberError, Source, digest_of_files
 from evaluator.codes import Code
 from evaluator.findings import Findings, quote
 from evaluator.limits import Limits
@@ -54,17 +53,10 @@ class LinkFollowingFolder:
 
     def sha256(self) -> str:
         """Compute the SHA-256 as `digest` does, but of what the links lead to; empty when unreadable."""
-        total = hashlib.sha256()
         try:
-            for number in sorted(range(len(self.names)), key=self.names.__getitem__):
-                path = self._root / self.names[number]
-                size_bytes = path.stat().st_size
-                total.update(f"{self.names[number]}\0{size_bytes}\0".encode("utf-8", "surrogateescape"))
-                with path.open("rb") as file:
-                    hashlib.file_digest(file, lambda: total)
+            return digest_of_files(self._root, self.names)
         except OSError:
             return ""
-        return total.hexdigest()
 
 
 class LenientReading:

@@ -17,6 +17,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session, defer, joinedload, object_session
 from sqlalchemy.sql.base import ExecutableOption
 
+from evaluator.protocol import Signature
 from evaluator.results import Scores
 from server.models import (
     Method,
@@ -233,6 +234,11 @@ def summary_of(scores: Scores) -> dict[str, Any]:
             for name in _NO_CURVES:
                 del part[name]
     return summary
+
+
+def signature_of(summary: dict[str, Any]) -> str:
+    """Print what the score that this is a summary of depends on."""
+    return str(msgspec.convert(summary["signature"], Signature))
 
 
 def scores_of(summary: dict[str, Any]) -> Scores:

@@ -4,7 +4,7 @@ from evaluator.archive.framing import check_framing
 from evaluator.archive.inflate import MemberError, unpack
 from evaluator.archive.member import Member
 from evaluator.archive.names import is_passed_over
-from evaluator.archive.source import Source, digest, open_archive, open_source
+from evaluator.archive.source import Source, digest, digest_of_files, open_archive, open_source
 
 __all__ = [
     "Member",
@@ -12,6 +12,7 @@ __all__ = [
     "Source",
     "check_framing",
     "digest",
+    "digest_of_files",
     "is_passed_over",
     "open_archive",
     "open_source",

@@ -155,18 +155,28 @@ def digest(path: Path) -> str:
 
     For a folder each file adds its name, a zero byte, its size in decimal, a zero byte and its bytes.
     """
-    total = hashlib.sha256()
     try:
-        if path.is_file():
-            _digest_into(total, path)
-            return total.hexdigest()
-        for name, status in sorted(_walk(path, Findings())):
-            if stat.S_ISREG(status.st_mode):
-                total.update(f"{name}\0{status.st_size}\0".encode("utf-8", "surrogateescape"))
-                _digest_into(total, path / name)
+        if path.is_dir():
+            return digest_of_files(
+                path, [name for name, status in _walk(path, Findings()) if stat.S_ISREG(status.st_mode)]
+            )
+        if not path.is_file():
+            return ""
+        total = hashlib.sha256()
+        _digest_into(total, path)
     except (OSError, ValueError):
         return ""
-    return total.hexdigest() if path.is_dir() else ""
+    return total.hexdigest()
+
+
+def digest_of_files(root: Path, names: Sequence[str]) -> str:
+    """Compute the SHA-256 of a folder that has these files, or links to files; raises OSError where one is unreadable."""
+    total = hashlib.sha256()
+    for name in sorted(names):
+        path = root / name
+        total.update(f"{name}\0{path.stat().st_size}\0".encode("utf-8", "surrogateescape"))
+        _digest_into(total, path)
+    return total.hexdigest()
 
 
 def _digest_into(total: "hashlib._Hash", path: Path) -> None:

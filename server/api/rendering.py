@@ -6,14 +6,13 @@ import msgspec
 from sqlalchemy.orm import Session, object_session
 
 from evaluator.integrity import IntegrityAudit
-from evaluator.protocol import Signature
 from evaluator.report import Report
 from evaluator.results import Scores
 from server.api import documents
 from server.blobs import Blobs
 from server.errors import NotFound, NotScored
 from server.models import Benchmark, Blob, Phase, Score, Submission, SubmissionState
-from server.ranking import Leaderboard, LeaderboardRow, history, ranking_score, shown_scores
+from server.ranking import Leaderboard, LeaderboardRow, history, ranking_score, shown_scores, signature_of
 from server.standings import Standing
 
 
@@ -53,14 +52,9 @@ def submission_document(submission: Submission, blobs: Blobs, *, owned: bool) ->
         failure=_failure(submission) if owned else None,
         report=report_of(submission, blobs) if owned else None,
         mds=shown.mds if shown else None,
-        signature=_signature_of(shown) if shown else None,
+        signature=signature_of(shown.summary) if shown else None,
         links=links_of(submission),
     )
-
-
-def _signature_of(score: Score) -> str:
-    """Print what a score depends on."""
-    return str(msgspec.convert(score.summary["signature"], Signature))
 
 
 def submission_list(session: Session, submissions: list[Submission]) -> documents.SubmissionList:
@@ -123,7 +117,7 @@ def history_of(submission: Submission) -> list[documents.ScoreEntry]:
         documents.ScoreEntry(
             id=score.id,
             mds=score.mds,
-            signature_text=_signature_of(score),
+            signature_text=signature_of(score.summary),
             created_at=score.created_at,
             ranks=score is ranking and (score.protocol, score.ground_truth_id) == in_force,
         )
@@ -217,7 +211,7 @@ def _row(row: LeaderboardRow, standing: Standing) -> documents.LeaderboardRow:
         groups=standing.groups,
         **means,
         created_at=row.submission.created_at,
-        signature=_signature_of(row.score),
+        signature=signature_of(row.summary),
         classes={one["label"]: msgspec.convert(one, documents.ClassSummary) for one in row.summary["classes"]},
         links=links_of(row.submission),
     )

@@ -31,15 +31,14 @@ def log_in(visit: VisitDependency, fields: FieldsDependency) -> Response:
     """Check the password (0.3 s, on a thread) and begin a session."""
     visit.check_form(fields)
     identities = visit.web.identities
-    address = visit.request.client.host if visit.request.client else ""
     email = fields.get("email", "")
-    identities.check_rate("login", address)
+    identities.check_rate("login", visit.address)
     try:
         with visit.web.services.snapshot() as session:
             user = accounts.authenticate_password(session, email, fields.get("password", ""))
             login = identities.new_login(user)
     except NotAuthenticated as error:
-        identities.count_failure("login", address)
+        identities.count_failure("login", visit.address)
         return _login_form(visit, next_=fields.get("next", "/"), email=email, error=str(error), status=401)
     response = see_other(local_address(fields.get("next", "/")))
     identities.set_cookie(visit.request, response, login)
@@ -71,8 +70,7 @@ def change_password(visit: VisitDependency, fields: FieldsDependency) -> Respons
     """Replace the user's password, who must know the one of before; every other session ends."""
     visit.check_form(fields)
     identities = visit.web.identities
-    address = visit.request.client.host if visit.request.client else ""
-    identities.check_rate("login", address)
+    identities.check_rate("login", visit.address)
     try:
         with visit.web.services.snapshot() as session:
             user = identities.user_of(session, visit.login)
@@ -87,7 +85,7 @@ def change_password(visit: VisitDependency, fields: FieldsDependency) -> Respons
             accounts.set_password(session, user, password_hash, actor=Identity(user, None).actor)
             login = identities.new_login(user)
     except NotAuthenticated:
-        identities.count_failure("login", address)
+        identities.count_failure("login", visit.address)
         return _password_form(visit, "The current password is wrong.", 401)
     except InvalidField as error:
         return _password_form(visit, f"The new {error}.", 422)
@@ -146,12 +144,9 @@ def _login_form(visit: Visit, *, next_: str, email: str = "", error: str = "", s
 
 def _password_form(visit: Visit, error: str, status: int) -> Response:
     """Show the account with the reason why the password stays."""
-    with visit.web.services.snapshot() as session:
-        user = visit.web.identities.user_of(session, visit.login)
-        if user is None:
-            return see_other("/login")
-        context = _account(session, user) | {"password_error": error}
-        return html(visit.request, "account.html", user=user, login=visit.login, status=status, **context)
+    return visit.show_own(
+        "account.html", lambda session, user: _account(session, user) | {"password_error": error}, status=status
+    )
 
 
 def _account(session: Session, user: User) -> Context:

@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import urlencode
 
-import msgspec
 from sqlalchemy.orm import Session
 
-from evaluator.protocol import Signature
 from evaluator.uncertainty import Comparison
-from server import standings
+from server import ranking, standings
 from server.models import Score
 from server.ranking import LeaderboardRow, scores_of
 
@@ -145,7 +143,7 @@ def zeroed_labels(row: LeaderboardRow) -> tuple[str, ...]:
 
 def signature_of(row: LeaderboardRow | Score) -> str:
     """Print the signature of a score."""
-    return str(msgspec.convert(row.summary["signature"], Signature))
+    return ranking.signature_of(row.summary)
 
 
 def sorted_rows(rows: Sequence[LeaderboardRow], view: View) -> list[LeaderboardRow]:

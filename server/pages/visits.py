@@ -35,13 +35,18 @@ class Visit:
             user = self.web.identities.user_of(session, self.login)
             return html(self.request, template, user=user, login=self.login, **work(session, user))
 
-    def show_own(self, template: str, work: Callable[[Session, User], Context]) -> Response:
+    @property
+    def address(self) -> str:
+        """Tell where the request comes from; empty where that is unknown."""
+        return self.request.client.host if self.request.client else ""
+
+    def show_own(self, template: str, work: Callable[[Session, User], Context], *, status: int = 200) -> Response:
         """Answer with a page for somebody logged in; others go to the login first. Blocks."""
         with self.web.services.snapshot() as session:
             user = self.web.identities.user_of(session, self.login)
             if user is None:
                 return see_other(f"/login?next={self.request.url.path}")
-            return html(self.request, template, user=user, login=self.login, **work(session, user))
+            return html(self.request, template, user=user, login=self.login, status=status, **work(session, user))
 
     def act(self, fields: Fields, work: Callable[[Session, Identity], str]) -> Response:
         """Change something for somebody logged in, then go to the page that `work` names. Blocks.

@@ -2,12 +2,14 @@ import gc
 import hashlib
 import json
 import os
+import tracemalloc
 import zipfile
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from evaluator.archive.names import check_names
 from evaluator.codes import MEANINGS, Code
 from evaluator.file_names import NearestName
 from evaluator.findings import Findings, quote
@@ -325,6 +327,19 @@ def test_many_unknown_names_take_little_memory(tmp_path: Path) -> None:
     (tmp_path / "berlin_00001_000019_pred.json").write_bytes(EMPTY)
     hints = _codes_with_details(read_predictions(tmp_path, images=_images(*(f"{name}_1_2" for name in names), IMAGE)))
     assert len(hints["missing_image"]) <= MAX_LOCATED_PROBLEMS
+
+
+@pytest.mark.parametrize("name", ["0/" + "a/" * 500, "a" + ". -" * 330, "a " * 500, "a" * 30_000])
+def test_hostile_names_take_little_memory(name: str) -> None:
+    """However deep or long names are, checking them takes a few times their own bytes."""
+    names = [f"{number}/{name}b" for number in range(200)]
+    tracemalloc.start()
+    try:
+        check_names(names, Limits(), Findings())
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 4 * sum(map(len, names))
 
 
 def _codes_with_details(intake: Intake) -> dict[str, list[str | None]]:
