@@ -8,13 +8,10 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from evaluator.decoding import Box
+from evaluator.decoding import Box, LabelLetter
 from evaluator.predictions import Float64Array, IndexArray, Predictions
 from evaluator.record_table import append_rows, floats, letter_codes, make_table, new_rows
 from evaluator.value_ranges import Mask, rows_to_explain
-
-MOST_LABELS = 126
-"""Each has an ASCII letter, and so have all unknown ones together."""
 
 _RECORDS_IN_CACHE = 256
 """Records turned into rows at a time: as many as stay in the processor's cache since they were decoded."""
@@ -29,7 +26,7 @@ class Columns:
 
     image_index: IndexArray
     label_index: IndexArray
-    """(N,) index into the known labels; their number for an unknown one."""
+    """(N,) index into the known labels."""
     score: Float64Array
     center_m: Float64Array
     dimensions_m: Float64Array
@@ -37,9 +34,9 @@ class Columns:
     amodal_px: Float64Array
     modal_px: Float64Array
 
-    def rows_to_explain(self, known_labels: int) -> Mask:
-        """Find the rows with something to be said, (N,), when so many labels are known."""
-        strange = rows_to_explain(
+    def rows_to_explain(self) -> Mask:
+        """Find the rows with something to be said, (N,)."""
+        return rows_to_explain(
             score=self.score,
             center_m=self.center_m,
             dimensions_m=self.dimensions_m,
@@ -47,8 +44,6 @@ class Columns:
             amodal_px=self.amodal_px,
             modal_px=self.modal_px,
         )
-        strange |= self.label_index >= known_labels
-        return strange
 
     def of_first_labels(self, count: int) -> "Columns":
         """Keep the rows whose label is one of the first `count` known ones."""
@@ -61,14 +56,9 @@ class Columns:
 class ColumnBuilder:
     """Gathers the boxes of some files; a box without a modal box gets its amodal one."""
 
-    def __init__(self, known_labels: Sequence[str]) -> None:
-        """Start empty.
-
-        Args:
-            known_labels: `MOST_LABELS` at most, each once; `Columns.label_index` counts them.
-        """
-        self._letters = {label: chr(number) for number, label in enumerate(known_labels)}
-        self._records: list[Box] = []
+    def __init__(self) -> None:
+        """Start empty."""
+        self._records: list[Box[LabelLetter]] = []
         self._rows = new_rows()
         self._boxes = 0
         self._amodal_only = 0
@@ -77,8 +67,8 @@ class ColumnBuilder:
         """Count the boxes."""
         return self._boxes
 
-    def add(self, boxes: Sequence[Box]) -> None:
-        """Append a file's boxes; the records are changed, and not needed afterwards."""
+    def add(self, boxes: Sequence[Box[LabelLetter]]) -> None:
+        """Append a file's boxes; the records may be changed, and are not needed afterwards."""
         self._records += boxes
         self._boxes += len(boxes)
         if len(self._records) >= _RECORDS_IN_CACHE:
@@ -108,18 +98,15 @@ class ColumnBuilder:
         return columns, self._boxes - self._amodal_only
 
     def _encode(self) -> None:
-        """Turn the records into rows, with letters for their labels, so that all rows have one width."""
-        letter_of, unknown = self._letters.get, chr(len(self._letters))
-        for record in self._records:
-            record.label = letter_of(record.label, unknown)
+        """Turn the records into rows."""
         if not append_rows(self._rows, self._records):
             self._amodal_only += _fill_modal(self._records)
             if not append_rows(self._rows, self._records):
-                raise AssertionError("msgspec no longer writes floats with nine bytes")
+                raise AssertionError("msgspec no longer writes floats with nine bytes and labels with two")
         self._records.clear()
 
 
-def _fill_modal(records: Sequence[Box]) -> int:
+def _fill_modal(records: Sequence[Box[LabelLetter]]) -> int:
     """Give each box without a modal box its amodal one and count them."""
     amodal_only = [record.box_2d for record in records if record.box_2d.modal is UNSET]
     for box_2d in amodal_only:
@@ -132,7 +119,7 @@ class GrowingColumns:
 
     def __init__(self, *, backwards: bool = False) -> None:
         """Start empty; `backwards`: what is appended comes last box first, and is put before what there is."""
-        self._columns, _ = ColumnBuilder(()).build(np.empty(0, dtype=np.int32))
+        self._columns, _ = ColumnBuilder().build(np.empty(0, dtype=np.int32))
         self._count = 0
         self._backwards = backwards
 

@@ -6,13 +6,16 @@ It never explains: whatever is not clean here is looked at again, slowly, by `ex
 import gc
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from enum import StrEnum
+from functools import lru_cache
 from itertools import chain
-from typing import Any
+from typing import Any, Generic, Self, TypeVar
 
 import msgspec
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType, field
 
+Label = TypeVar("Label", bound=str)
 Triple = tuple[float, float, float]
 Quadruple = tuple[float, float, float, float]
 
@@ -32,27 +35,41 @@ class Box3d(Struct, gc=False):
     rotation: Quadruple
 
 
-class Box(Struct, gc=False):
+class Box(Struct, Generic[Label], gc=False):
     """One predicted box as the file has it."""
 
-    label: str
+    label: Label
     score: float
     box_2d: Box2d = field(name="2d")
     box_3d: Box3d = field(name="3d")
 
 
-class Document(Struct, gc=False):
+class Document(Struct, Generic[Label], gc=False):
     """One prediction file."""
 
-    objects: list[Box]
+    objects: list[Box[Label]]
 
 
-_TYPED = msgspec.json.Decoder(Document)
+class LabelLetter(StrEnum):
+    """A known label: its value is what files call it, as a text it is one letter, which is what msgspec writes of it.
+
+    Without members; `BoxDecoder` makes them. So records need no work in Python before they become the rows of a table.
+    """
+
+    def __new__(cls, label: str, letter: str) -> Self:
+        """Make the letter that a label is read as."""
+        member = str.__new__(cls, letter)
+        member._value_ = label
+        return member
+
+
 _UNTYPED = msgspec.json.Decoder()
 _KEYS_PER_BOX = 8
 """2d, 3d, label, score, amodal, center, dimensions, rotation; modal is optional."""
 _ARRAYS = {"2d": ("amodal", "modal"), "3d": ("center", "dimensions", "rotation")}
 """The keys whose values are arrays of numbers, which typed decoding has made sure of."""
+MOST_LABELS = 128
+"""Each has an ASCII letter."""
 _BYTES_AT_ONCE = 1 << 17
 """Small files are looked at together, as many as stay in the processor's cache."""
 _CITYPERSONS_KEYS = {"bbox", "bboxVis"}
@@ -70,12 +87,35 @@ def garbage_collection_paused() -> Iterator[None]:
             gc.enable()
 
 
-def decode(data: bytes) -> list[Box] | None:
-    """Decode a file by type, or give None when that fails. Extra and repeated keys pass; see `keys_are_expected`."""
-    try:
-        return _TYPED.decode(data).objects
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return None
+class BoxDecoder:
+    """Decodes files by type."""
+
+    def __init__(self, known_labels: Sequence[str]) -> None:
+        """Number the labels.
+
+        Args:
+            known_labels: 1 to `MOST_LABELS`, each once.
+        """
+        letters = {f"label_{number}": (label, chr(number)) for number, label in enumerate(known_labels)}
+        known: type[LabelLetter] = LabelLetter("KnownLabel", letters)  # type: ignore[assignment,arg-type]
+        self._decoder: msgspec.json.Decoder[Document[LabelLetter]] = msgspec.json.Decoder(Document[known])  # type: ignore[valid-type]
+
+    def decode(self, data: bytes) -> list[Box[LabelLetter]] | None:
+        """Decode a file, or give None when that fails. Extra and repeated keys pass; see `keys_are_expected`.
+
+        Returns:
+            The boxes; their labels are letters, chr(0) for the first known label.
+        """
+        try:
+            return self._decoder.decode(data).objects
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return None
+
+
+@lru_cache(maxsize=16)
+def box_decoder(known_labels: tuple[str, ...]) -> BoxDecoder:
+    """Return the decoder for these labels; making one takes as long as decoding several files."""
+    return BoxDecoder(known_labels)
 
 
 def count_colons(files: Sequence[bytes]) -> int:

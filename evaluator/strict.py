@@ -6,8 +6,16 @@ import numpy as np
 
 from evaluator.archive import MemberError, Source
 from evaluator.codes import Code
-from evaluator.columns import MOST_LABELS, ColumnBuilder, Columns, GrowingColumns
-from evaluator.decoding import Box, count_colons, decode, extra_keys_are_clean, keys_are_expected
+from evaluator.columns import ColumnBuilder, Columns, GrowingColumns
+from evaluator.decoding import (
+    MOST_LABELS,
+    Box,
+    LabelLetter,
+    box_decoder,
+    count_colons,
+    extra_keys_are_clean,
+    keys_are_expected,
+)
 from evaluator.errors import UsageError
 from evaluator.explanation import explain
 from evaluator.file_names import assign_files
@@ -43,6 +51,7 @@ class StrictReading:
             own = MOST_LABELS - len(VEHICLE_LABELS)
             raise UsageError(f"There are too many labels; name {own} at most beside those of the data set.")
         self._labels_in_order = (*labels, *sorted(self.known_labels - set(labels)))
+        self._decoder = box_decoder(self._labels_in_order)
         self.label_counts = np.zeros(len(self._labels_in_order), dtype=np.int64)
         self._explained: set[int] = set()
         self._explained_bytes = 0
@@ -70,7 +79,7 @@ class StrictReading:
     ) -> GrowingColumns:
         """Read files, of which so many are expected; where they come backwards, so do the boxes of each."""
         columns = GrowingColumns(backwards=backwards)
-        batch = _Batch(self._labels_in_order)
+        batch = _Batch()
         done = finished = 0
         for done, (image, number) in enumerate(files, start=1):
             data = self._read_bytes(number)
@@ -79,7 +88,7 @@ class StrictReading:
                 batch.add(image, number, data, boxes[::-1] if backwards else boxes)
             if batch.is_full:
                 columns.append(self._finish(batch), share_done=min(1.0, done / expected))
-                batch, finished = _Batch(self._labels_in_order), done
+                batch, finished = _Batch(), done
                 if progress is not None:
                     progress(done, len(self.assigned))
         if finished < done:
@@ -102,9 +111,9 @@ class StrictReading:
             self._findings.add(error.code, file=self._files.names[number], detail=error.detail)
             return None
 
-    def _decode(self, number: int, data: bytes) -> Sequence[Box] | None:
+    def _decode(self, number: int, data: bytes) -> Sequence[Box[LabelLetter]] | None:
         """Decode one file; None when that fails, which is then explained."""
-        boxes = decode(data)
+        boxes = self._decoder.decode(data)
         if boxes is not None and len(boxes) <= self._limits.boxes_per_image:
             return boxes
         self._explain(number, data)
@@ -135,10 +144,9 @@ class StrictReading:
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
-        known = len(self._labels_in_order)
-        for place in np.unique(batch.file_index[columns.rows_to_explain(known)]):
+        for place in np.unique(batch.file_index[columns.rows_to_explain()]):
             self._explain(batch.numbers[place], batch.data[place])
-        self.label_counts += np.bincount(columns.label_index, minlength=known)[:known]
+        self.label_counts += np.bincount(columns.label_index, minlength=len(self._labels_in_order))
         evaluated = columns.of_first_labels(len(self._labels))
         self.boxes += len(evaluated.score)
         return evaluated
@@ -147,16 +155,16 @@ class StrictReading:
 class _Batch:
     """Some files' boxes, with the bytes they came from in case they need explaining."""
 
-    def __init__(self, known_labels: Sequence[str]) -> None:
+    def __init__(self) -> None:
         """Start empty."""
-        self.columns = ColumnBuilder(known_labels)
+        self.columns = ColumnBuilder()
         self.numbers: list[int] = []
         self.data: list[bytes] = []
         self.images: list[int] = []
         self.counts: list[int] = []
         self._bytes = 0
 
-    def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box]) -> None:
+    def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box[LabelLetter]]) -> None:
         """Append one file."""
         self.columns.add(boxes)
         self.numbers.append(number)

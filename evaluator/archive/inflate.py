@@ -20,7 +20,7 @@ class _Inflater(Protocol):
     @property
     def unused_data(self) -> bytes: ...
 
-    def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
+    def decompress(self, data: bytes | memoryview, max_length: int, /) -> bytes: ...
 
 
 def _fastest() -> tuple[Callable[[], _Inflater], type[Exception], Callable[[bytes], int]]:
@@ -49,20 +49,20 @@ class MemberError(Exception):
         self.detail = detail
 
 
-def unpack(archive: Archive, member: Member) -> bytes:
-    """Unpack a member and check its size and checksum.
+def unpack(archive: Archive | memoryview, member: Member) -> bytes:
+    """Unpack a member and check its size and checksum; of a view nothing is copied that is packed.
 
     Raises:
         MemberError: when the data is damaged, not of the stated size or not of the stated checksum.
     """
     packed = archive[member.start : member.start + member.packed_bytes]
-    data = packed if member.method == STORED else _inflate(packed, member.expanded_bytes)
+    data = bytes(packed) if member.method == STORED else _inflate(packed, member.expanded_bytes)
     if _crc32(data) != member.crc32:
         raise MemberError(Code.CHECKSUM_MISMATCH, f"CRC-32 {_crc32(data):08x} instead of {member.crc32:08x}")
     return data
 
 
-def _inflate(packed: bytes, expanded_bytes: int) -> bytes:
+def _inflate(packed: bytes | memoryview, expanded_bytes: int) -> bytes:
     """Inflate to exactly the stated size: one byte more is asked for and must not come."""
     inflater = _new_inflater()
     try:

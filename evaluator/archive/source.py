@@ -42,12 +42,13 @@ class ZipSource:
     def __init__(self, archive: Archive, members: Sequence[Member]) -> None:
         """Keep the archive's bytes; they are unpacked one member at a time."""
         self._archive = archive
+        self._bytes = memoryview(archive) if isinstance(archive, bytes) else archive
         self._members = members
         self.names: Sequence[str] = [member.name for member in members]
 
     def read(self, number: int) -> bytes:
         """Unpack and check one member."""
-        return unpack(self._archive, self._members[number])
+        return unpack(self._bytes, self._members[number])
 
     def sha256(self) -> str:
         """Compute the SHA-256 of the file that is open, whatever stands at its path meanwhile."""
