@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from evaluator.decoding import Box, LabelLetter
+from evaluator.decoding import Box
 from evaluator.predictions import Float64Array, IndexArray, Predictions
 from evaluator.record_table import append_rows, floats, letter_codes, make_table, new_rows
 from evaluator.value_ranges import Mask, rows_to_explain
@@ -26,7 +26,7 @@ class Columns:
 
     image_index: IndexArray
     label_index: IndexArray
-    """(N,) index into the known labels."""
+    """(N,) index into the known labels; their number for an unknown one."""
     score: Float64Array
     center_m: Float64Array
     dimensions_m: Float64Array
@@ -34,9 +34,9 @@ class Columns:
     amodal_px: Float64Array
     modal_px: Float64Array
 
-    def rows_to_explain(self) -> Mask:
-        """Find the rows with something to be said, (N,)."""
-        return rows_to_explain(
+    def rows_to_explain(self, known_labels: int) -> Mask:
+        """Find the rows with something to be said, (N,), when so many labels are known."""
+        strange = rows_to_explain(
             score=self.score,
             center_m=self.center_m,
             dimensions_m=self.dimensions_m,
@@ -44,6 +44,8 @@ class Columns:
             amodal_px=self.amodal_px,
             modal_px=self.modal_px,
         )
+        strange |= self.label_index >= known_labels
+        return strange
 
     def of_first_labels(self, count: int) -> "Columns":
         """Keep the rows whose label is one of the first `count` known ones."""
@@ -58,7 +60,7 @@ class ColumnBuilder:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._records: list[Box[LabelLetter]] = []
+        self._records: list[Box[Any]] = []
         self._rows = new_rows()
         self._boxes = 0
         self._amodal_only = 0
@@ -67,7 +69,7 @@ class ColumnBuilder:
         """Count the boxes."""
         return self._boxes
 
-    def add(self, boxes: Sequence[Box[LabelLetter]]) -> None:
+    def add(self, boxes: Sequence[Box[Any]]) -> None:
         """Append a file's boxes; the records may be changed, and are not needed afterwards."""
         self._records += boxes
         self._boxes += len(boxes)
@@ -106,7 +108,7 @@ class ColumnBuilder:
         self._records.clear()
 
 
-def _fill_modal(records: Sequence[Box[LabelLetter]]) -> int:
+def _fill_modal(records: Sequence[Box[Any]]) -> int:
     """Give each box without a modal box its amodal one and count them."""
     amodal_only = [record.box_2d for record in records if record.box_2d.modal is UNSET]
     for box_2d in amodal_only:

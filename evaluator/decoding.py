@@ -51,7 +51,7 @@ class Document(Struct, Generic[Label], gc=False):
 
 
 class LabelLetter(StrEnum):
-    """A known label: its value is what files call it, as a text it is one letter, which is what msgspec writes of it.
+    """A label: its value is what files call it, as a text it is one letter, which is what msgspec writes of it.
 
     Without members; `BoxDecoder` makes them. So records need no work in Python before they become the rows of a table.
     """
@@ -63,13 +63,14 @@ class LabelLetter(StrEnum):
         return member
 
 
+_WITH_ANY_LABEL = msgspec.json.Decoder(Document[str])
 _UNTYPED = msgspec.json.Decoder()
 _KEYS_PER_BOX = 8
 """2d, 3d, label, score, amodal, center, dimensions, rotation; modal is optional."""
 _ARRAYS = {"2d": ("amodal", "modal"), "3d": ("center", "dimensions", "rotation")}
 """The keys whose values are arrays of numbers, which typed decoding has made sure of."""
-MOST_LABELS = 128
-"""Each has an ASCII letter."""
+MOST_LABELS = 127
+"""Each has an ASCII letter, and so have all unknown ones together."""
 _BYTES_AT_ONCE = 1 << 17
 """Small files are looked at together, as many as stay in the processor's cache."""
 _CITYPERSONS_KEYS = {"bbox", "bboxVis"}
@@ -96,20 +97,33 @@ class BoxDecoder:
         Args:
             known_labels: 1 to `MOST_LABELS`, each once.
         """
-        letters = {f"label_{number}": (label, chr(number)) for number, label in enumerate(known_labels)}
+        self._letters = {label: chr(number) for number, label in enumerate(known_labels)}
+        letters = {f"label_{number}": pair for number, pair in enumerate(self._letters.items())}
         known: type[LabelLetter] = LabelLetter("KnownLabel", letters)  # type: ignore[assignment,arg-type]
         self._decoder: msgspec.json.Decoder[Document[LabelLetter]] = msgspec.json.Decoder(Document[known])  # type: ignore[valid-type]
 
-    def decode(self, data: bytes) -> list[Box[LabelLetter]] | None:
+    def decode(self, data: bytes) -> Sequence[Box[Any]] | None:
         """Decode a file, or give None when that fails. Extra and repeated keys pass; see `keys_are_expected`.
 
         Returns:
-            The boxes; their labels are letters, chr(0) for the first known label.
+            The boxes; their labels are letters: chr(0) for the first known label, the one after the last for all others.
         """
         try:
             return self._decoder.decode(data).objects
+        except msgspec.ValidationError:
+            return self._decode_with_any_label(data)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return None
+
+    def _decode_with_any_label(self, data: bytes) -> Sequence[Box[Any]] | None:
+        """Decode a file that may have labels nobody knows; what else its boxes say counts all the same."""
+        try:
+            boxes = _WITH_ANY_LABEL.decode(data).objects
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return None
+        for box in boxes:
+            box.label = self._letters.get(box.label, chr(len(self._letters)))
+        return boxes
 
 
 @lru_cache(maxsize=16)

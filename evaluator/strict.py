@@ -1,6 +1,7 @@
 """The strict reading: clean files fast to arrays, the others explained."""
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from evaluator.columns import ColumnBuilder, Columns, GrowingColumns
 from evaluator.decoding import (
     MOST_LABELS,
     Box,
-    LabelLetter,
     box_decoder,
     count_colons,
     extra_keys_are_clean,
@@ -111,7 +111,7 @@ class StrictReading:
             self._findings.add(error.code, file=self._files.names[number], detail=error.detail)
             return None
 
-    def _decode(self, number: int, data: bytes) -> Sequence[Box[LabelLetter]] | None:
+    def _decode(self, number: int, data: bytes) -> Sequence[Box[Any]] | None:
         """Decode one file; None when that fails, which is then explained."""
         boxes = self._decoder.decode(data)
         if boxes is not None and len(boxes) <= self._limits.boxes_per_image:
@@ -144,9 +144,10 @@ class StrictReading:
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
-        for place in np.unique(batch.file_index[columns.rows_to_explain()]):
+        known = len(self._labels_in_order)
+        for place in np.unique(batch.file_index[columns.rows_to_explain(known)]):
             self._explain(batch.numbers[place], batch.data[place])
-        self.label_counts += np.bincount(columns.label_index, minlength=len(self._labels_in_order))
+        self.label_counts += np.bincount(columns.label_index, minlength=known)[:known]
         evaluated = columns.of_first_labels(len(self._labels))
         self.boxes += len(evaluated.score)
         return evaluated
@@ -164,7 +165,7 @@ class _Batch:
         self.counts: list[int] = []
         self._bytes = 0
 
-    def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box[LabelLetter]]) -> None:
+    def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box[Any]]) -> None:
         """Append one file."""
         self.columns.add(boxes)
         self.numbers.append(number)

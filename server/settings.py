@@ -72,7 +72,7 @@ class Settings(BaseSettings):
 
     smtp_host: str = ""
     """Empty: no mail is sent."""
-    smtp_port: int = 25
+    smtp_port: int = Field(default=25, ge=1, le=65535)
     smtp_user: str = ""
     smtp_password: SecretStr = SecretStr("")
     smtp_starttls: bool = False

@@ -10,7 +10,7 @@ import msgspec
 from sqlalchemy.orm import Session
 
 from evaluator.synthetic import QUALITIES, synthesize_ground_truth, synthesize_predictions, write_zip
-from server import accounts, benchmarks
+from server import accounts, benchmarks, passwords
 from server.admin.command import actor
 from server.errors import Conflict, NotFound
 from server.services import Services
@@ -101,7 +101,12 @@ def _create_people(session: Session) -> Logins:
     """Create a user, who is in every team, and a token for each team."""
     password = secrets.token_urlsafe(9)
     user = accounts.create_user(
-        session, email=EMAIL, name="Demo User", password=password, is_maintainer=True, actor=actor()
+        session,
+        email=EMAIL,
+        name="Demo User",
+        password_hash=passwords.hashed(password),
+        is_maintainer=True,
+        actor=actor(),
     )
     tokens = {}
     for slug, name in TEAMS.values():

@@ -55,12 +55,13 @@ def add_commands(subparsers: Subparsers) -> None:
 def create_user(args: argparse.Namespace, services: Services) -> Outcome:
     """Create an account; without --password-stdin a password is generated and shown once."""
     password = _password(args)
+    password_hash = passwords.hashed(password)
     with services.transaction() as session:
         user = accounts.create_user(
             session,
             email=args.email,
             name=args.name,
-            password=password,
+            password_hash=password_hash,
             is_maintainer=args.maintainer,
             actor=actor(),
         )

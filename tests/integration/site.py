@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import uvicorn
 
-from server import accounts, benchmarks
+from server import accounts, benchmarks, passwords
 from server.api.spool import UploadLimits
 from server.services import Services
 from server.web import create_app
@@ -17,6 +17,7 @@ from tests.services.installation import SMALL_CASE
 from tests.services.processes import free_port, wait_until
 
 PASSWORD = "correct horse battery staple"
+PASSWORD_HASH = passwords.hashed(PASSWORD)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +45,7 @@ class Site:
         """Make a user in a team of their own, and a token."""
         with self.services.transaction() as session:
             user = accounts.create_user(
-                session, email=email, name="Eve", password=None, is_maintainer=is_maintainer, actor="admin:test"
+                session, email=email, name="Eve", password_hash=None, is_maintainer=is_maintainer, actor="admin:test"
             )
             accounts.create_team(session, slug=team, name=team.title(), members=[user], actor="admin:test")
         return self.token(email=email, team=team)
@@ -54,7 +55,12 @@ def populate(services: Services, **phase: Any) -> None:
     """Create Ann (with a password) in team `lab`, and the hidden phase `cs3d/test` with the small case."""
     with services.transaction() as session:
         ann = accounts.create_user(
-            session, email="ann@example.org", name="Ann", password=PASSWORD, is_maintainer=False, actor="admin:test"
+            session,
+            email="ann@example.org",
+            name="Ann",
+            password_hash=PASSWORD_HASH,
+            is_maintainer=False,
+            actor="admin:test",
         )
         accounts.create_team(session, slug="lab", name="Lab", members=[ann], actor="admin:test")
         benchmark = benchmarks.create_benchmark(session, slug="cs3d", title="Cityscapes 3D", actor="admin:test")

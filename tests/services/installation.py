@@ -70,7 +70,12 @@ class Installation:
         rules = {"submissions_per_day": 1000, **phase}
         with self.services.transaction() as session:
             self.user = accounts.create_user(
-                session, email="ann@example.org", name="Ann", password=None, is_maintainer=False, actor="admin:test"
+                session,
+                email="ann@example.org",
+                name="Ann",
+                password_hash=None,
+                is_maintainer=False,
+                actor="admin:test",
             )
             self.team = accounts.create_team(session, slug="lab", name="Lab", members=[self.user], actor="admin:test")
             benchmark = benchmarks.create_benchmark(session, slug="cs3d", title="Cityscapes 3D", actor="admin:test")

@@ -47,7 +47,7 @@ def test_an_embedded_installation_moves_to_postgresql(installation: Installation
     """A backup of SQLite restores into PostgreSQL; new rows get new numbers there."""
     source = _empty(tmp_path / "source")
     with source.transaction() as session:
-        accounts.create_user(session, email="bob@example.org", name="Bob", password=None, actor="admin:t")
+        accounts.create_user(session, email="bob@example.org", name="Bob", password_hash=None, actor="admin:t")
     backup(source, tmp_path / "backup")
     source.close()
     with pytest.raises(Conflict, match="empty"):
@@ -55,7 +55,7 @@ def test_an_embedded_installation_moves_to_postgresql(installation: Installation
     target = _sibling(installation)
     restore(target, tmp_path / "backup")
     with target.transaction() as session:
-        user = accounts.create_user(session, email="eve@example.org", name="Eve", password=None, actor="admin:t")
+        user = accounts.create_user(session, email="eve@example.org", name="Eve", password_hash=None, actor="admin:t")
         assert user.id == 2
     target.close()
 
@@ -131,7 +131,7 @@ def test_an_installation_in_use_is_refused_before_blobs_are_copied(installation:
     backup(installation.services, tmp_path / "backup")
     services = _empty(tmp_path / "other")
     with services.transaction() as session:
-        accounts.create_user(session, email="bob@example.org", name="Bob", password=None, actor="admin:t")
+        accounts.create_user(session, email="bob@example.org", name="Bob", password_hash=None, actor="admin:t")
     with pytest.raises(Conflict, match="has users already"):
         restore(services, tmp_path / "backup")
     assert list(services.blobs.stored()) == []

@@ -192,11 +192,11 @@ def test_one_image_has_scores_without_intervals(
 
 
 def test_too_many_labels_are_wrong_usage(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of 128 classes the data set has eight, so 121 others are one too many."""
-    labels = [str(number) for number in range(121)]
+    """Of 127 classes the data set has eight, so 120 others are one too many."""
+    labels = [str(number) for number in range(120)]
 
     assert _evaluate(benchmark, "--labels", *labels) == 2
-    assert "name 120 at most" in capsys.readouterr().err
+    assert "name 119 at most" in capsys.readouterr().err
     assert _evaluate(benchmark, "--labels", *labels[1:]) == 0
 
 

@@ -57,7 +57,13 @@ def test_an_escaped_label_is_the_same_label() -> None:
     assert _label_index(data, ("car", "bus")) == [0, 1]
 
 
-@pytest.mark.parametrize("label", ["Car", "car ", "", "\x00", "\x01", "label_0", 0, 1, None, True, ["car"], {"car": 0}])
-def test_no_other_label_is_decoded(label: object) -> None:
-    """Neither the letters nor the names inside of the known labels are labels; such files are explained."""
+@pytest.mark.parametrize("label", ["Car", "car ", "", "\x00", "\x01", "\x02", "label_0"])
+def test_unknown_labels_share_the_number_after_the_last(label: str) -> None:
+    """Neither the letters nor the names inside of the known labels are labels; the other boxes of the file count."""
+    assert _label_index(_document("car", label, "bus"), ("car", "bus")) == [0, 2, 1]
+
+
+@pytest.mark.parametrize("label", [0, 1, None, True, ["car"], {"car": 0}])
+def test_what_is_no_text_is_no_label(label: object) -> None:
+    """Such files are explained."""
     assert _label_index(_document("car", label), ("car", "bus")) is None

@@ -93,6 +93,15 @@ def test_other_labels_may_be_evaluated(tmp_path: Path) -> None:
     )
 
 
+def test_an_unknown_label_hides_no_other_box(tmp_path: Path) -> None:
+    """The other boxes of its file are checked and counted, so that one upload tells everything."""
+    boxes = (box(), box(label='"van"'), box(label='"caravan"'), box(score="2"))
+    intake = _read_one(tmp_path, document(*boxes))
+    found = {group.code: group.count for group in intake.report.groups}
+    assert found == {"unknown_label": 1, "unevaluated_label": 1, "score_out_of_range": 1}
+    assert intake.report.boxes == 2
+
+
 def test_every_problem_is_located(tmp_path: Path) -> None:
     """A report names file, pointer, found and expected for each of several problems in one file."""
     report = _read_one(tmp_path, document(box(score='"0.9"'), box(dimensions="[1, -2, 3]", label='"a/b~c"'))).report
