@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from evaluator.decoding import Box
+from evaluator.decoding import Box, LabelLetter
 from evaluator.predictions import Float64Array, IndexArray, Predictions
 from evaluator.record_table import append_rows, floats, letter_codes, make_table, new_rows
 from evaluator.value_ranges import Mask, rows_to_explain
@@ -60,7 +60,7 @@ class ColumnBuilder:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._records: list[Box[Any]] = []
+        self._records: list[Box[LabelLetter]] = []
         self._rows = new_rows()
         self._boxes = 0
         self._amodal_only = 0
@@ -69,7 +69,7 @@ class ColumnBuilder:
         """Count the boxes."""
         return self._boxes
 
-    def add(self, boxes: Sequence[Box[Any]]) -> None:
+    def add(self, boxes: Sequence[Box[LabelLetter]]) -> None:
         """Append a file's boxes; the records may be changed, and are not needed afterwards."""
         self._records += boxes
         self._boxes += len(boxes)
@@ -108,7 +108,7 @@ class ColumnBuilder:
         self._records.clear()
 
 
-def _fill_modal(records: Sequence[Box[Any]]) -> int:
+def _fill_modal(records: Sequence[Box[LabelLetter]]) -> int:
     """Give each box without a modal box its amodal one and count them."""
     amodal_only = [record.box_2d for record in records if record.box_2d.modal is UNSET]
     for box_2d in amodal_only:

@@ -53,7 +53,8 @@ class Document(Struct, Generic[Label], gc=False):
 class LabelLetter(StrEnum):
     """A label: its value is what files call it, as a text it is one letter, which is what msgspec writes of it.
 
-    Without members; `BoxDecoder` makes them. So records need no work in Python before they become the rows of a table.
+    So records need no work in Python before they become the rows of a table. `BoxDecoder` makes the members, of which
+    the last stands for all unknown labels.
     """
 
     def __new__(cls, label: str, letter: str) -> Self:
@@ -62,8 +63,13 @@ class LabelLetter(StrEnum):
         member._value_ = label
         return member
 
+    @classmethod
+    def _missing_(cls, value: object) -> Self:
+        """Take a label that no member has."""
+        del value
+        return next(reversed(cls))
 
-_WITH_ANY_LABEL = msgspec.json.Decoder(Document[str])
+
 _UNTYPED = msgspec.json.Decoder()
 _KEYS_PER_BOX = 8
 """2d, 3d, label, score, amodal, center, dimensions, rotation; modal is optional."""
@@ -97,12 +103,13 @@ class BoxDecoder:
         Args:
             known_labels: 1 to `MOST_LABELS`, each once.
         """
-        self._letters = {label: chr(number) for number, label in enumerate(known_labels)}
-        letters = {f"label_{number}": pair for number, pair in enumerate(self._letters.items())}
-        known: type[LabelLetter] = LabelLetter("KnownLabel", letters)  # type: ignore[assignment,arg-type]
-        self._decoder: msgspec.json.Decoder[Document[LabelLetter]] = msgspec.json.Decoder(Document[known])  # type: ignore[valid-type]
+        letters = {label: chr(number) for number, label in enumerate(known_labels) if _is_unicode(label)}
+        letters[max(letters, key=len, default="") + "?"] = chr(len(known_labels))
+        members = {f"label_{number}": pair for number, pair in enumerate(letters.items())}
+        labels: type[LabelLetter] = LabelLetter("Label", members)  # type: ignore[assignment,arg-type]
+        self._decoder: msgspec.json.Decoder[Document[LabelLetter]] = msgspec.json.Decoder(Document[labels])  # type: ignore[valid-type]
 
-    def decode(self, data: bytes) -> Sequence[Box[Any]] | None:
+    def decode(self, data: bytes) -> list[Box[LabelLetter]] | None:
         """Decode a file, or give None when that fails. Extra and repeated keys pass; see `keys_are_expected`.
 
         Returns:
@@ -110,20 +117,13 @@ class BoxDecoder:
         """
         try:
             return self._decoder.decode(data).objects
-        except msgspec.ValidationError:
-            return self._decode_with_any_label(data)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return None
 
-    def _decode_with_any_label(self, data: bytes) -> Sequence[Box[Any]] | None:
-        """Decode a file that may have labels nobody knows; what else its boxes say counts all the same."""
-        try:
-            boxes = _WITH_ANY_LABEL.decode(data).objects
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            return None
-        for box in boxes:
-            box.label = self._letters.get(box.label, chr(len(self._letters)))
-        return boxes
+
+def _is_unicode(label: str) -> bool:
+    """Tell whether a file can have this label; half a surrogate pair, as from a command line that is no UTF-8, cannot be."""
+    return label == label.encode(errors="ignore").decode()
 
 
 @lru_cache(maxsize=16)

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.decoding import Box
+from evaluator.decoding import Box, LabelLetter
 from evaluator.predictions import Float64Array, IndexArray
 
 _ENCODER = msgspec.msgpack.Encoder()
@@ -44,7 +44,7 @@ _ROW = np.dtype(
 """A `Box` that has a modal box."""
 
 
-def append_rows(rows: bytearray, records: Sequence[Box[Any]]) -> bool:
+def append_rows(rows: bytearray, records: Sequence[Box[LabelLetter]]) -> bool:
     """Append records to the rows of a table; if some lack a field, say so and do not.
 
     MessagePack puts a header before the records. It is written over the end of what there is, which is then put back.

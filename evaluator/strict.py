@@ -1,7 +1,6 @@
 """The strict reading: clean files fast to arrays, the others explained."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from evaluator.columns import ColumnBuilder, Columns, GrowingColumns
 from evaluator.decoding import (
     MOST_LABELS,
     Box,
+    LabelLetter,
     box_decoder,
     count_colons,
     extra_keys_are_clean,
@@ -111,7 +111,7 @@ class StrictReading:
             self._findings.add(error.code, file=self._files.names[number], detail=error.detail)
             return None
 
-    def _decode(self, number: int, data: bytes) -> Sequence[Box[Any]] | None:
+    def _decode(self, number: int, data: bytes) -> Sequence[Box[LabelLetter]] | None:
         """Decode one file; None when that fails, which is then explained."""
         boxes = self._decoder.decode(data)
         if boxes is not None and len(boxes) <= self._limits.boxes_per_image:
@@ -165,7 +165,7 @@ class _Batch:
         self.counts: list[int] = []
         self._bytes = 0
 
-    def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box[Any]]) -> None:
+    def add(self, image: int, number: int, data: bytes, boxes: Sequence[Box[LabelLetter]]) -> None:
         """Append one file."""
         self.columns.add(boxes)
         self.numbers.append(number)

@@ -45,7 +45,7 @@ class Visit:
         with self.web.services.snapshot() as session:
             user = self.web.identities.user_of(session, self.login)
             if user is None:
-                return see_other(f"/login?next={self.request.url.path}")
+                return see_other(f"/login?next={self.request.url.path}" if self.request.method == "GET" else "/login")
             return html(self.request, template, user=user, login=self.login, status=status, **work(session, user))
 
     def act(self, fields: Fields, work: Callable[[Session, Identity], str]) -> Response:

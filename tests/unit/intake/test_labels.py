@@ -1,6 +1,7 @@
 """How labels become numbers: each known one is decoded as a letter, which MessagePack writes in two bytes."""
 
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def test_an_escaped_label_is_the_same_label() -> None:
     assert _label_index(data, ("car", "bus")) == [0, 1]
 
 
-@pytest.mark.parametrize("label", ["Car", "car ", "", "\x00", "\x01", "\x02", "label_0"])
+@pytest.mark.parametrize("label", ["Car", "car ", "", "\x00", "\x01", "\x02", "label_0", "car?", "bus?"])
 def test_unknown_labels_share_the_number_after_the_last(label: str) -> None:
     """Neither the letters nor the names inside of the known labels are labels; the other boxes of the file count."""
     assert _label_index(_document("car", label, "bus"), ("car", "bus")) == [0, 2, 1]
@@ -67,3 +68,38 @@ def test_unknown_labels_share_the_number_after_the_last(label: str) -> None:
 def test_what_is_no_text_is_no_label(label: object) -> None:
     """Such files are explained."""
     assert _label_index(_document("car", label), ("car", "bus")) is None
+
+
+def test_an_unknown_label_beside_as_many_as_there_may_be() -> None:
+    """It has the last letter of ASCII, which MessagePack writes in two bytes, too."""
+    known_labels = tuple(f"class {number}" for number in range(MOST_LABELS))
+
+    assert _label_index(_document("class 126", "class 127", "class 0"), known_labels) == [126, 127, 0]
+
+
+@pytest.mark.parametrize("strange", ["\udcff", "a label of many letters \udcff"])
+def test_a_known_label_that_is_no_unicode_has_no_boxes(strange: str) -> None:
+    """A command line that is no UTF-8 may give one; no file can have it, and the others keep their numbers."""
+    known_labels = ("car", strange, "bus")
+
+    assert _label_index(_document("bus", "van", "car"), known_labels) == [2, 3, 0]
+    assert _label_index(_document("bus", strange), known_labels) is None
+
+
+def test_an_unknown_label_is_not_quoted_in_memory() -> None:
+    """An error message of msgspec would quote the whole label, four bytes for each letter and more."""
+    label = "\x7f" * 1_000_000 + "\N{BUS}"
+    data = json.dumps(
+        {"objects": [{**json.loads(_document("car"))["objects"][0], "label": label}]}, ensure_ascii=False
+    ).encode()
+    decoder = box_decoder(("car", "bus"))
+    tracemalloc.start()
+    try:
+        boxes = decoder.decode(data)
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+
+    assert boxes is not None
+    assert boxes[0].label == "\x02"
+    assert peak_bytes < 6 * len(label)
