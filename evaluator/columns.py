@@ -49,10 +49,10 @@ class Columns:
 
     def of_first_labels(self, count: int) -> "Columns":
         """Keep the rows whose label is one of the first `count` known ones."""
-        keep = self.label_index < count
-        if keep.all():
+        rows = np.flatnonzero(self.label_index < count)
+        if len(rows) == len(self.label_index):
             return self
-        return Columns(**{name: getattr(self, name).compress(keep, axis=0) for name in Columns.__slots__})
+        return Columns(**{name: getattr(self, name).take(rows, axis=0) for name in Columns.__slots__})
 
 
 class ColumnBuilder:

@@ -33,9 +33,10 @@ def assign_files(
     file_of: dict[str, int] = {}
     unknown: list[str] = []
     for number, name in enumerate(names):
-        if not _is_prediction(name, findings):
+        base = _base(name)
+        if not _is_prediction(name, base, findings):
             continue
-        image = _image_of(_base(name), wanted)
+        image = _image_of(base, wanted)
         if image is None:
             unknown.append(name)
         elif image in file_of:
@@ -60,11 +61,10 @@ def _stem(name: str) -> str:
     return base.rpartition(".")[0] or base
 
 
-def _is_prediction(name: str, findings: Findings) -> bool:
+def _is_prediction(name: str, base: str, findings: Findings) -> bool:
     """Tell whether a file is to be read; say so of the others, except of what macOS leaves behind."""
     if is_passed_over(name):
         return False
-    base = _base(name)
     if base == _RESULTS_FILE:
         findings.add(Code.RESULTS_FILE_IGNORED, file=name)
         return False

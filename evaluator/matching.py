@@ -102,7 +102,7 @@ def matches_of(
         ignored: (N,) those of them at which it is discarded.
     """
     kept = np.flatnonzero(taken)
-    kept = kept[np.lexsort((edges.prediction_index[kept], edges.ground_truth_index[kept]))]
+    kept = kept[np.argsort(edges.ground_truth_index[kept] * len(unmatched) + edges.prediction_index[kept])]
     return Matches(
         thresholds=thresholds,
         ground_truth_index=edges.ground_truth_index[kept].astype(np.int32),
@@ -136,8 +136,15 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
     if not protocol.modal:
         pairs = settled(pairs, protocol.min_iou, gt_boxes, ground_truth, predictions)
     pairs = pairs[pairs.iou > protocol.min_iou]
-    best_first = np.argsort(-pairs.iou, kind="stable")
+    best_first = _order(-pairs.iou)
     return Edges(pairs.gt_row[best_first], pairs.prediction_row[best_first])
+
+
+def _order(keys: Float64Array) -> RowArray:
+    """Sort (N,) numbers, equal ones in the order they have; where there are none, several times as fast as numpy."""
+    order = np.argsort(keys)
+    in_order = keys[order]
+    return np.argsort(keys, kind="stable") if (in_order[1:] == in_order[:-1]).any() else order
 
 
 def _overlapping_pairs(

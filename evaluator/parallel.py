@@ -163,21 +163,27 @@ class TwoProcesses:
         other.send(source.absolute())  # it is where the first process was at the start
         own = _read_part(source, self._ground_truth, self._protocol, other.turns, backwards=False)
         boxes_after = other.receive(int)
-        if own is None or boxes_after is None:
+        if boxes_after is None:
+            return None
+        if own is None:
+            other.receive(Statistics)
             other.send(None)
             return None
-        other.send(_Before.of(own, self._ground_truth, boxes_after=boxes_after))
+        before = _Before.of(own, self._ground_truth, boxes_after=boxes_after)
         own_statistics = _match(own, self._ground_truth, self._protocol)
         second = other.receive(Statistics)
+        other.send(None if second is None else before)  # only then: it is large, and the other must be there to take it
         if second is None:
             return None
         # While the other process looks at the boxes of both and writes the report:
         statistics = join([own_statistics, second])
-        scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, own.sha256))
+        sha256 = own.sha256
+        scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, sha256))
+        del own, own_statistics, second, before
         report = other.receive(Report)
         if report is None:
             return None
-        return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=own.sha256)
+        return FileEvaluation(scores=scores, statistics=statistics, report=report, predictions_sha256=sha256)
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,13 +328,13 @@ def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol
         except (UsageError, OSError):  # the first process says it
             own = None
         connection.send(None if own is None else len(own.predictions))
-        before = connection.recv()
-        if own is None or before is None:
+        if own is None:
             return
         try:
             statistics = _match(own, ground_truth, protocol)
         except (UsageError, OSError):  # likewise
-            connection.send(None)
-            return
+            statistics = None
         connection.send(statistics)
-        connection.send(_report(before, own, ground_truth))
+        before = connection.recv()
+        if statistics is not None and before is not None:
+            connection.send(_report(before, own, ground_truth))

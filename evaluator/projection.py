@@ -83,15 +83,15 @@ def vertices_in_camera_m(
     """
     columns = rotation_matrices(rotation).transpose(1, 0, 2) * (np.ascontiguousarray(dimensions_m.T) / 2)[:, None]
     forward, left, up = sensor_from_vehicle.transpose(1, 2, 0)
-    center = np.ascontiguousarray(center_m.T)
-    camera = (-left, -up, forward)
-    middle = np.stack([_dot(row, center) + row[3] for row in camera])
-    half_length, half_width, half_height = (np.stack([_dot(row, column) for row in camera]) for column in columns)
+    camera = np.stack([-left, -up, forward])
+    middle = _transformed(camera, np.ascontiguousarray(center_m.T)) + camera[:, 3]
+    half_length, half_width, half_height = _transformed(camera, columns)
     vertices = np.empty((3, 2, 2, 2, len(center_m)))
-    vertices[:, 0, 0, 0], vertices[:, 1, 0, 0] = middle - half_length, middle + half_length
-    vertices[:, :, 1, 0] = vertices[:, :, 0, 0] + half_width[:, None]
+    np.subtract(middle, half_length, out=vertices[:, 0, 0, 0])
+    np.add(middle, half_length, out=vertices[:, 1, 0, 0])
+    np.add(vertices[:, :, 0, 0], half_width[:, None], out=vertices[:, :, 1, 0])
     vertices[:, :, 0, 0] -= half_width[:, None]
-    vertices[:, :, :, 1] = vertices[:, :, :, 0] + half_height[:, None, None]
+    np.add(vertices[:, :, :, 0], half_height[:, None, None], out=vertices[:, :, :, 1])
     vertices[:, :, :, 0] -= half_height[:, None, None]
     return vertices.reshape(3, 8, -1)
 
@@ -122,24 +122,28 @@ def clipped_to_image(boxes: Float64Array) -> Float64Array:
     return np.clip(boxes, 0.0, limits[:, None])
 
 
-def _dot(row: Float64Array, column: Float64Array) -> Float64Array:
-    """Return (N,) products of rows and columns, each three arrays of length N."""
-    return np.asarray(row[0] * column[0] + row[1] * column[1] + row[2] * column[2])
+def _transformed(matrices: Float64Array, vectors: Float64Array) -> Float64Array:
+    """Return (..., 3, N): (3, 3, N) matrices, more columns being passed over, times (..., 3, N) vectors."""
+    x, y, z = (vectors[..., axis, None, :] for axis in range(3))
+    transformed = matrices[:, 0] * x
+    transformed += matrices[:, 1] * y
+    transformed += matrices[:, 2] * z
+    return np.asarray(transformed)
 
 
 def _extremes(points_m: Float64Array, visible: BoolArray | None) -> Float64Array:
     """Return (4, N) least x/z and y/z, greatest x/z and y/z over the visible of (3, K, N) points."""
-    x, y = points_m[:2] / points_m[2]
+    ratios = points_m[:2] / points_m[2]
     if visible is None:
-        return np.stack([x.min(axis=0), y.min(axis=0), x.max(axis=0), y.max(axis=0)])
-    least = [np.where(visible, axis, np.inf).min(axis=0) for axis in (x, y)]
-    return np.stack([*least, *(np.where(visible, axis, -np.inf).max(axis=0) for axis in (x, y))])
+        return np.concatenate([ratios.min(axis=1), ratios.max(axis=1)])
+    least, greatest = np.where(visible, ratios, np.inf).min(axis=1), np.where(visible, ratios, -np.inf).max(axis=1)
+    return np.concatenate([least, greatest])
 
 
 def _pixels(ratios: Float64Array, intrinsics_px: Float64Array) -> Float64Array:
     """Apply the pinhole model to (4, N) x/z, y/z, x/z, y/z."""
-    fx, fy, u0, v0 = intrinsics_px.T
-    return np.asarray(ratios * np.stack([fx, fy, fx, fy]) + np.stack([u0, v0, u0, v0]))
+    focal_px, center_px = intrinsics_px.T[:2], intrinsics_px.T[2:]
+    return (ratios.reshape(2, 2, -1) * focal_px + center_px).reshape(4, -1)
 
 
 def _cut_at_near_plane(vertices_m: Float64Array) -> tuple[Float64Array, BoolArray]:

@@ -2,7 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import PurePosixPath
 
 from evaluator.codes import Code
@@ -11,6 +11,8 @@ from evaluator.limits import Limits
 
 _PLAIN = re.compile(r"(?:[A-Za-z0-9_+\-][A-Za-z0-9_+. \-]*/)*(?:[A-Za-z0-9_+\-][A-Za-z0-9_+. \-]*)?")
 """Names that need no closer look: printable ASCII, relative, no empty and no dot-only parts."""
+_USUAL = re.compile(r"(?:[A-Za-z0-9_+\-][A-Za-z0-9_+. \-]*/)*[A-Za-z0-9_+\-][A-Za-z0-9_+. \-]*(?:/|\.json)")
+"""Those of them that are folders or JSON files."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 _DRIVE = re.compile(r"[A-Za-z]:")
 _ARCHIVE_SUFFIXES = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".tbz2", ".xz", ".txz", ".7z", ".rar", ".zst", ".jar")
@@ -28,6 +30,9 @@ _RULES: tuple[tuple[Code, Callable[[str], object]], ...] = (
 
 def check_names(names: Iterable[str], limits: Limits, findings: Findings) -> None:
     """Refuse names that are unsafe, nested archives, and names that are or may become the same. Linear in them."""
+    names = tuple(names)
+    if _are_usual(names, limits):
+        return
     seen: dict[str, str] = {}
     for name in names:
         _check_name(name, limits, findings)
@@ -37,6 +42,15 @@ def check_names(names: Iterable[str], limits: Limits, findings: Findings) -> Non
             continue
         code = Code.DUPLICATE_NAME if other == name else Code.COLLIDING_NAMES
         findings.add(code, file=name, detail=None if other == name else f"collides with {other[:200]!a}")
+
+
+def _are_usual(names: Sequence[str], limits: Limits) -> bool:
+    """Tell in half the time that there is nothing to say of any name."""
+    return (
+        all(map(_USUAL.fullmatch, names))
+        and len(set(map(str.lower, names))) == len(names)
+        and max(map(len, names), default=0) <= limits.name_bytes
+    )
 
 
 def _check_name(name: str, limits: Limits, findings: Findings) -> None:
