@@ -77,8 +77,9 @@ _ARRAYS = {"2d": ("amodal", "modal"), "3d": ("center", "dimensions", "rotation")
 """The keys whose values are arrays of numbers, which typed decoding has made sure of."""
 MOST_LABELS = 127
 """Each has an ASCII letter, and so have all unknown ones together."""
-_BYTES_AT_ONCE = 1 << 17
-"""Small files are looked at together, as many as stay in the processor's cache."""
+_LARGEST_BYTE = 255
+_ROW_BYTES = 1024
+"""Added up at once; a multiple of eight."""
 _CITYPERSONS_KEYS = {"bbox", "bboxVis"}
 
 
@@ -133,10 +134,19 @@ def box_decoder(known_labels: tuple[str, ...]) -> BoxDecoder:
 
 
 def count_colons(files: Sequence[bytes]) -> int:
-    """Count the colons of some files; numpy compares dozens of bytes in the time `bytes.count` takes for one."""
-    step = max(1, _BYTES_AT_ONCE * len(files) // max(1, sum(map(len, files))))
-    groups = (b"".join(files[start : start + step]) for start in range(0, len(files), step))
-    return sum(int(np.count_nonzero(np.frombuffer(group, dtype=np.uint8) == ord(":"))) for group in groups)
+    """Count the colons of some files, several times as fast as `bytes.count`.
+
+    numpy compares dozens of bytes at once. What that gives, a byte of 0 or 1 for each, is added up eight bytes at a
+    time, as one number, in which no byte overflows.
+    """
+    data = np.frombuffer(b"".join(files), dtype=np.uint8)
+    count = 0
+    for start in range(0, len(data), _LARGEST_BYTE * _ROW_BYTES):
+        is_colon = data[start : start + _LARGEST_BYTE * _ROW_BYTES] == ord(":")
+        rows_end = len(is_colon) // _ROW_BYTES * _ROW_BYTES
+        rows = is_colon[:rows_end].view(np.uint64).reshape(-1, _ROW_BYTES // 8)
+        count += int(rows.sum(axis=0).view(np.uint8).sum()) + int(np.count_nonzero(is_colon[rows_end:]))
+    return count
 
 
 def keys_are_expected(*, colons: int, files: int, boxes: int, modal: int) -> bool:

@@ -80,8 +80,7 @@ def _image_of(base: str, wanted: frozenset[str] | None) -> str | None:
         usual = _USUAL_NAME.fullmatch(base)
         return usual["image"] if usual else None
     image = base
-    while "_" in image:
-        image = image[: image.rindex("_")]
+    while image := image.rpartition("_")[0]:
         if image in wanted:
             return image
     return None

@@ -130,9 +130,12 @@ def candidate_edges(ground_truth: GroundTruth, predictions: Predictions, protoco
     """Find all pairs of one image and class whose IoU is above the minimum, best first, ties by row."""
     if ground_truth.images != predictions.images:
         raise UsageError("Ground truth and predictions must list the same images in the same order.")
-    groups = groups_of(ground_truth, predictions, protocol)
-    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, groups, protocol)
-    pairs = _overlapping_pairs(groups, gt_boxes, prediction_boxes, max(protocol.min_iou - ROUNDING, 0.0))
+    gt_group, prediction_group = groups_of(ground_truth, predictions, protocol)
+    rows = np.flatnonzero(np.isin(prediction_group, gt_group))
+    gt_boxes, prediction_boxes = _boxes_to_match(ground_truth, predictions, rows, protocol)
+    groups, above_iou = (gt_group, prediction_group[rows]), max(protocol.min_iou - ROUNDING, 0.0)
+    pairs = _overlapping_pairs(groups, gt_boxes, prediction_boxes, above_iou)
+    pairs = Pairs(pairs.gt_row, rows[pairs.prediction_row], pairs.iou)
     if not protocol.modal:
         pairs = settled(pairs, protocol.min_iou, gt_boxes, ground_truth, predictions)
     pairs = pairs[pairs.iou > protocol.min_iou]
@@ -166,12 +169,11 @@ def _overlapping_pairs(
 
 
 def _boxes_to_match(
-    ground_truth: GroundTruth, predictions: Predictions, groups: tuple[RowArray, RowArray], protocol: Protocol
+    ground_truth: GroundTruth, predictions: Predictions, rows: RowArray, protocol: Protocol
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the boxes of both sides as (4, M) and (4, N) corners; zeros for predictions in groups without ground truth."""
+    """Return the boxes of the ground truth as (4, M) corners, and of R rows of the predictions as (4, R)."""
     if protocol.modal:
-        return corners_px(ground_truth.modal_px), corners_px(predictions.modal_px)
-    rows = np.flatnonzero(np.isin(groups[1], groups[0]))
+        return corners_px(ground_truth.modal_px), corners_px(predictions.modal_px[rows])
     projected = projected_corners_px(
         predictions.center_m.take(rows, axis=0),
         predictions.dimensions_m.take(rows, axis=0),
@@ -180,9 +182,7 @@ def _boxes_to_match(
         sensor_from_vehicle=ground_truth.sensor_from_vehicle,
         camera_index=predictions.image_index.take(rows),
     )
-    boxes = np.zeros((4, len(predictions)))
-    boxes[:, rows] = through_width_and_height(projected)
-    return corners_px(ground_truth.amodal_px), boxes
+    return corners_px(ground_truth.amodal_px), through_width_and_height(projected)
 
 
 def groups_of(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> tuple[RowArray, RowArray]:
@@ -259,7 +259,7 @@ def _inside_ignore_region(
     has_regions = np.zeros(len(ground_truth.images), dtype=bool)
     has_regions[ground_truth.ignore_image_index] = True
     tested = np.flatnonzero((unmatched > 0) & has_regions[predictions.image_index])
-    boxes, regions = corners_px(predictions.modal_px[tested]), corners_px(ground_truth.ignore_px)
+    boxes, regions = corners_px(predictions.modal_px.take(tested, axis=0)), corners_px(ground_truth.ignore_px)
     groups = predictions.image_index[tested], ground_truth.ignore_image_index
     for row, region in pairs_within_groups(*groups):
         covered = covered_fractions(regions.take(region, axis=1), boxes.take(row, axis=1)) > protocol.min_iou

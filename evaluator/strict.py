@@ -139,14 +139,16 @@ class StrictReading:
     def _finish(self, batch: "_Batch") -> Columns:
         """Turn a batch into arrays and explain the files with keys or values that are not as they should be."""
         columns, modal = batch.columns.build(batch.image_index)
+        known = len(self._labels_in_order)
+        strange = columns.rows_to_explain(known)  # at once, while the columns are in the processor's cache
         boxes = len(batch.columns)
         if not keys_are_expected(colons=count_colons(batch.data), files=len(batch.data), boxes=boxes, modal=modal):
             for number, data in zip(batch.numbers, batch.data, strict=True):
                 if not extra_keys_are_clean(data, self._limits.json_depth):
                     self._explain(number, data)
-        known = len(self._labels_in_order)
-        for place in np.unique(batch.file_index[columns.rows_to_explain(known)]):
-            self._explain(batch.numbers[place], batch.data[place])
+        if strange.any():
+            for place in np.unique(batch.file_index[strange]):
+                self._explain(batch.numbers[place], batch.data[place])
         self.label_counts += np.bincount(columns.label_index, minlength=known)[:known]
         evaluated = columns.of_first_labels(len(self._labels))
         self.boxes += len(evaluated.score)
