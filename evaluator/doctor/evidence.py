@@ -15,7 +15,7 @@ from evaluator.value_ranges import BOX_LIMIT_PX, CENTER_LIMIT_M, DIMENSION_RANGE
 Cameras = ImageList | GroundTruth
 """Either tells the images and their cameras."""
 
-MOST_BOXES = 1500
+MOST_BOXES = 1000
 """Looked at; evenly spread over the submission. More would not make the medians better."""
 FEWEST_BOXES = 20
 """With fewer nothing is concluded."""
