@@ -220,17 +220,19 @@ class _Before:
 def _read_part(
     source: Path, ground_truth: GroundTruth, protocol: Protocol, turns: Turns, *, backwards: bool
 ) -> _Read | None:
-    """Read images until none is left.
+    """Read images until none is left; the process that reads backwards leaves checking the archive to the other.
 
     Returns:
         None for a broken archive, and when there is anything to say of its files.
     """
     findings = Findings()
-    with open_source(source, DEFAULT_LIMITS, findings) as files:
+    with open_source(source, DEFAULT_LIMITS, findings, checked_elsewhere=backwards) as files:
         if files is None:
+            turns.end()
             return None
         reading = StrictReading(files, ground_truth.images, evaluated_labels(protocol), DEFAULT_LIMITS, findings)
         if findings.error_count:
+            turns.end()
             return None
         sha256 = "" if backwards else files.sha256()
         before = _groups(findings)

@@ -23,9 +23,13 @@ class Turns:
 
     def lay_out(self, images: int) -> None:
         """Begin anew with a file of so many images, while the other process waits for it."""
-        while self._is_mine():  # what an archive that broke left
-            pass
+        self.end()
         os.write(self._sink, bytes(-(-images // _images_at_a_turn(images))))
+
+    def end(self) -> None:
+        """Leave no turn: there is nothing more to be read."""
+        while self._is_mine():
+            pass
 
     def take(
         self, assigned: Sequence[tuple[int, int]], taken: list[int], *, backwards: bool

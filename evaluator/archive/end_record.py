@@ -5,13 +5,14 @@ Section numbers refer to PKWARE's APPNOTE.TXT 6.3.10.
 
 import struct
 from dataclasses import dataclass
+from mmap import mmap
 
 from evaluator.archive.file_bytes import FileBytes
 from evaluator.archive.framing_error import FramingError
 from evaluator.codes import Code
 
-Archive = bytes | FileBytes
-"""All bytes of a zip; a slice of either kind is `bytes`."""
+Archive = bytes | mmap | FileBytes
+"""All bytes of a zip; a slice of each kind is `bytes`."""
 
 _END = struct.Struct("<4sHHHHIIH")  # 4.3.16
 _END64 = struct.Struct("<4sQHHIIQQQQ")  # 4.3.14

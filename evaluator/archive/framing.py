@@ -36,13 +36,17 @@ _METHODS = {
 }
 
 
-def check_framing(archive: Archive, limits: Limits, findings: Findings) -> tuple[Member, ...]:
+def check_framing(
+    archive: Archive, limits: Limits, findings: Findings, *, checked_elsewhere: bool = False
+) -> tuple[Member, ...]:
     """Check the framing of a whole archive in time linear in its directory.
 
     Args:
         archive: all bytes of the zip.
         limits: caps on entries and sizes.
         findings: receives every problem; without an error in it afterwards the archive is sound.
+        checked_elsewhere: somebody else checks the same archive and throws away what is made of an unsound one, so that
+            of a plain one only the members are looked for.
 
     Returns:
         The members that are files, in the order of the directory; none when the archive cannot be read at all.
@@ -55,12 +59,13 @@ def check_framing(archive: Archive, limits: Limits, findings: Findings) -> tuple
         if directory.entries > limits.entries:
             findings.add(Code.TOO_MANY_ENTRIES, found=f"{directory.entries}", expected=f"at most {limits.entries}")
             return ()
-        plain = plain_members(archive, directory, limits)
+        plain = plain_members(archive, directory, limits, checked_elsewhere=checked_elsewhere)
         entries = () if plain else tuple(read_directory(archive, directory))
     except FramingError as error:
         findings.add(error.code, detail=error.detail)
         return ()
-    check_names((entry.name for entry in plain or entries if entry.name is not None), limits, findings)
+    if not (plain and checked_elsewhere):
+        check_names((entry.name for entry in plain or entries if entry.name is not None), limits, findings)
     _check_sizes(plain or entries, len(archive), limits, findings)
     for entry in entries:
         _check_entry(entry, limits, findings)

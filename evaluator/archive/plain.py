@@ -27,8 +27,16 @@ _LOCAL_BYTES = 30
 _SATURATED = 0xFFFFFFFF
 
 
-def plain_members(archive: Archive, directory: Directory, limits: Limits) -> tuple[Member, ...]:
+def plain_members(
+    archive: Archive, directory: Directory, limits: Limits, *, checked_elsewhere: bool
+) -> tuple[Member, ...]:
     """Locate the members of an archive that is plain.
+
+    Args:
+        archive: all bytes of the zip.
+        directory: where its directory is.
+        limits: caps on entries and sizes.
+        checked_elsewhere: believe the directory without looking at the members' own headers.
 
     Returns:
         All members, folders included, when there is nothing wrong with any but perhaps its name; none when that takes
@@ -50,7 +58,7 @@ def plain_members(archive: Archive, directory: Directory, limits: Limits) -> tup
         and _are_plain(table, limits)
         and not any(name.endswith(b"/") and size for name, size in zip(names, table["expanded"].tolist(), strict=True))
         and _fill(table, starts, directory.offset)
-        and _agree(archive, entries, table["offset"].tolist())
+        and (checked_elsewhere or _agree(archive, entries, table["offset"].tolist()))
     ):
         return ()
     method, crc32, packed, expanded = (table[name].tolist() for name in ("method", "crc32", "packed", "expanded"))

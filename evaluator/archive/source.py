@@ -5,6 +5,7 @@ import os
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -42,7 +43,7 @@ class ZipSource:
     def __init__(self, archive: Archive, members: Sequence[Member]) -> None:
         """Keep the archive's bytes; they are unpacked one member at a time."""
         self._archive = archive
-        self._bytes = memoryview(archive) if isinstance(archive, bytes) else archive
+        self._bytes = archive if isinstance(archive, FileBytes) else memoryview(archive)
         self._members = members
         self.names: Sequence[str] = [member.name for member in members]
 
@@ -52,7 +53,7 @@ class ZipSource:
 
     def sha256(self) -> str:
         """Compute the SHA-256 of the file that is open, whatever stands at its path meanwhile."""
-        if isinstance(self._archive, bytes):
+        if not isinstance(self._archive, FileBytes):
             return hashlib.sha256(self._archive).hexdigest()
         total = hashlib.sha256()
         for start in range(0, len(self._archive), MIB):
@@ -87,19 +88,30 @@ class FolderSource:
 
 
 @contextmanager
-def open_source(path: Path, limits: Limits, findings: Findings) -> Iterator[Source | None]:
-    """Open a zip or a folder; yields None when it cannot be read, with the reasons in `findings`."""
+def open_source(
+    path: Path, limits: Limits, findings: Findings, *, checked_elsewhere: bool = False
+) -> Iterator[Source | None]:
+    """Open a zip or a folder; yields None when it cannot be read, with the reasons in `findings`.
+
+    `checked_elsewhere`: another process does the same and throws away what this one makes of an unsound zip. So a small
+    zip is not copied either, but mapped: if it is cut short meanwhile, the system ends this process.
+    """
     if path.is_dir():
         yield _open_folder(path, limits, findings)
         return
-    with open_archive(path, findings, small_bytes=_SMALL_BYTES) as archive:
-        members = () if archive is None else check_framing(archive, limits, findings)
-        yield None if archive is None or findings.error_count else ZipSource(archive, members)
+    with open_archive(path, findings, small_bytes=_SMALL_BYTES, mapped=checked_elsewhere) as archive:
+        if archive is None:
+            yield None
+            return
+        members = check_framing(archive, limits, findings, checked_elsewhere=checked_elsewhere)
+        yield None if findings.error_count else ZipSource(archive, members)
 
 
 @contextmanager
-def open_archive(path: Path, findings: Findings, *, small_bytes: int = 0) -> Iterator[Archive | None]:
-    """Open a file for reading in place, or read it whole when it is small; yields None when it cannot be opened."""
+def open_archive(
+    path: Path, findings: Findings, *, small_bytes: int = 0, mapped: bool = False
+) -> Iterator[Archive | None]:
+    """Open a file for reading in place, or read or map it whole when it is small; yields None when it cannot be opened."""
     try:
         file = _open_regular(path)
     except (OSError, ValueError) as error:
@@ -107,8 +119,11 @@ def open_archive(path: Path, findings: Findings, *, small_bytes: int = 0) -> Ite
         yield None
         return
     with file:
-        is_small = os.fstat(file.fileno()).st_size <= small_bytes
-        yield file.read() if is_small else FileBytes(file.fileno())
+        size = os.fstat(file.fileno()).st_size
+        if mapped and 0 < size <= small_bytes:
+            yield mmap(file.fileno(), size, access=ACCESS_READ)
+        else:
+            yield file.read() if size <= small_bytes else FileBytes(file.fileno())
 
 
 def _open_regular(path: Path) -> BinaryIO:

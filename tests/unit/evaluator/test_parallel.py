@@ -1,5 +1,6 @@
 """Two processes give what one gives, bit for bit, and the same report."""
 
+import faulthandler
 import json
 import os
 import subprocess
@@ -242,7 +243,7 @@ def test_an_exception_leaves_no_half_answer_behind(ground_truth: GroundTruth, mo
         assert both.evaluate(CASE / "pred").scores is not None
 
 
-def _interrupted(*_: object) -> None:
+def _interrupted(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
 
@@ -278,6 +279,67 @@ def test_an_error_in_the_second_half_gives_the_whole_report(ground_truth: Ground
     assert two.scores is None
     assert two.report.error_count > 0
     assert one.report == two.report
+
+
+def test_what_the_second_process_does_not_look_for_is_said(
+    ground_truth: GroundTruth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A refused name and a header that contradicts the directory: the same report, soon, and then the next file."""
+    sound = _zip(tmp_path, {}, "sound.zip")
+    nested = _zip(tmp_path, {}, "nested.zip")
+    with zipfile.ZipFile(nested, "a") as archive:
+        archive.writestr("more.zip", b"")
+    contradictory = tmp_path / "contradictory.zip"
+    contradictory.write_bytes(
+        sound.read_bytes().replace(b".json", b".JSON", 1)
+    )  # the header comes before the directory
+    sources = [nested, contradictory, sound]
+    expected = [evaluate_file(source, ground_truth, CITYSCAPES3D, split=False) for source in sources]
+    read, here, files_read = StrictReading._read_bytes, os.getpid(), tmp_path / "files read by the second process"
+
+    def slowed(reading: StrictReading, number: int) -> bytes | None:
+        if os.getpid() != here:
+            time.sleep(0.02)
+            with files_read.open("a") as file:
+                file.write("x")
+        return read(reading, number)
+
+    monkeypatch.setattr(StrictReading, "_read_bytes", slowed)
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        found = []
+        for source in sources:
+            files_read.write_text("")
+            found.append(both.evaluate(source))
+            assert len(files_read.read_text()) < 50
+        assert both.is_split
+    assert [[group.code for group in one.report.groups] for one in found[:2]] == [
+        ["nested_archive"],
+        ["local_header_mismatch"],
+    ]
+    assert [(one.scores, one.report) for one in found] == [(one.scores, one.report) for one in expected]
+
+
+def test_a_file_cut_short_ends_the_second_process_only(
+    ground_truth: GroundTruth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second process maps it, so that the system ends it; the first one says what is wrong with the file."""
+    source = _zip(tmp_path, {})
+    read, here = StrictReading._read_bytes, os.getpid()
+
+    def cut(reading: StrictReading, number: int) -> bytes | None:
+        if os.getpid() == here:
+            time.sleep(0.02)  # until the other one has a turn
+        else:
+            faulthandler.disable()  # pytest's, which would print where it ended
+            os.truncate(source, 1000)
+        return read(reading, number)
+
+    monkeypatch.setattr(StrictReading, "_read_bytes", cut)
+    monkeypatch.setattr(turns, "_TURN_IMAGES", 1)
+    with TwoProcesses(ground_truth, CITYSCAPES3D) as both:
+        found = both.evaluate(source)
+        assert not both.is_split
+    assert [group.code for group in found.report.groups] == ["truncated_archive"]
 
 
 @pytest.mark.parametrize("kept", [60, 3], ids=["every image", "few boxes"])
