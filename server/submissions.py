@@ -59,6 +59,7 @@ def receive(
         message = f"{user.email} is not in team {team.slug}; ask a maintainer to add you"
         raise Forbidden(message)
     record_blob(session, _blobs_of(session), predictions_sha256, size_bytes)
+    phase = _keep_rules(session, phase.id)
     quota.lock_team(session, team.id)
     request = (phase.id, team.id, method_slug, predictions_sha256)
     if idempotency_key and (known := replayed(session, user.id, idempotency_key, request)):
@@ -253,7 +254,7 @@ def publish(session: Session, submission: Submission, actor: str) -> None:
         Forbidden: The phase does not allow it.
         Held: A maintainer must release it first.
     """
-    phase = _keep_in_force(session, submission)
+    phase = _keep_rules(session, submission.phase_id)
     _lock(session, submission)
     if submission.state is not SubmissionState.SCORED:
         message = f"submission {submission.id} is {submission.state}; only a scored submission can be published"
@@ -305,9 +306,9 @@ def hold(session: Session, submission: Submission, *, reason: str, actor: str) -
     integrity.hold(session, submission, checked_text("reason", reason, max_length=1000), actor=actor)
 
 
-def _keep_in_force(session: Session, submission: Submission) -> Phase:
-    """Lock the submission's phase so that what ranks stays what it is; others may do the same meanwhile."""
-    return session.get_one(Phase, submission.phase_id, with_for_update={"read": True}, populate_existing=True)
+def _keep_rules(session: Session, phase_id: int) -> Phase:
+    """Lock a phase so that its rules and what ranks in it stay what they are; others may do the same meanwhile."""
+    return session.get_one(Phase, phase_id, with_for_update={"read": True}, populate_existing=True)
 
 
 def _ranks(session: Session, submission: Submission, phase: Phase) -> bool:

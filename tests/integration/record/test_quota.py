@@ -8,7 +8,7 @@ from datetime import timedelta
 
 import pytest
 
-from server import benchmarks, database, lifecycle, quota
+from server import benchmarks, database, lifecycle, quota, submissions
 from server.blobs import record_blob
 from server.errors import Conflict, PhaseClosed, QuotaExceeded, TooManyRejections
 from server.models import GroundTruthVersion
@@ -155,6 +155,65 @@ def test_uploads_at_once_never_exceed_the_quota(installation: Installation) -> N
         thread.join()
     assert sorted(outcomes) == [False] * 5 + [True] * 3
     assert _used(installation) == 3
+
+
+def test_an_upload_goes_by_the_rules_of_the_moment_it_is_kept(installation: Installation) -> None:
+    """An upload that read the phase before its quota was lowered is refused."""
+    services = installation.services
+    installation.submit(enqueue=False)
+    with services.snapshot() as session:
+        stale = benchmarks.find_phase(session, "cs3d", "test")
+    with services.transaction() as session:
+        benchmarks.edit_phase(
+            session, benchmarks.find_phase(session, "cs3d", "test"), actor="admin:test", submissions_per_day=1
+        )
+    assert stale.submissions_per_day > 1
+    with services.transaction() as session, pytest.raises(QuotaExceeded):
+        submissions.receive(
+            session,
+            phase=session.merge(stale, load=False),
+            team=installation.team,
+            user=installation.user,
+            method_slug="ours",
+            predictions_sha256=services.blobs.put_bytes(b"x"),
+            size_bytes=1,
+            file_name="predictions.zip",
+            actor="user:1",
+        )
+
+
+def test_a_rule_is_changed_after_the_upload_that_is_being_kept(installation: Installation) -> None:
+    """A maintainer who lowers the quota waits for an upload that was within it."""
+    services = installation.services
+
+    def lower() -> None:
+        with services.transaction() as session:
+            phase = benchmarks.find_phase(session, "cs3d", "test")
+            benchmarks.edit_phase(session, phase, actor="admin:test", submissions_per_day=1)
+            order.append("lowered")
+
+    order: list[str] = []
+    sha256 = services.blobs.put_bytes(b"x")
+    maintainer = threading.Thread(target=lower)
+    with services.transaction() as session:
+        phase = benchmarks.find_phase(session, "cs3d", "test")
+        for method in ("ours", "theirs"):
+            submissions.receive(
+                session,
+                phase=phase,
+                team=installation.team,
+                user=installation.user,
+                method_slug=method,
+                predictions_sha256=sha256,
+                size_bytes=1,
+                file_name="predictions.zip",
+                actor="user:1",
+            )
+        maintainer.start()
+        maintainer.join(timeout=0.5)
+        order.append("kept")
+    maintainer.join()
+    assert order == ["kept", "lowered"]
 
 
 def test_a_phase_without_ground_truth_is_closed(installation: Installation) -> None:
