@@ -1,5 +1,7 @@
 """Bird's-eye-view and volume IoU of pairs of boxes, worked out by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,20 @@ def test_overlap_by_hand(other: Boxes, bev: float, volume: float) -> None:
     """Both overlaps agree with paper and pencil, in either order."""
     assert np.stack(overlaps(box(), other)) == pytest.approx(np.array([[bev], [volume]]))
     assert np.stack(overlaps(other, box())) == pytest.approx(np.array([[bev], [volume]]))
+
+
+@pytest.mark.parametrize("move_m", [0.0, 1e-16, 1e-15, 1e-14, 1e-13, 1e-9])
+def test_boxes_that_differ_by_rounding_overlap_wholly(move_m: float) -> None:
+    """Moving a box by less than anybody measures leaves its overlap with itself at 1, wherever it stands."""
+    rng, count = np.random.default_rng(0), 20_000
+    boxes = Boxes(
+        image_index=np.zeros(count, dtype=np.int64),
+        center_m=rng.uniform(-100, 100, (count, 3)),
+        dimensions_m=rng.uniform((1, 0.5, 1), (12, 3, 4), (count, 3)),
+        yaw_rad=rng.uniform(-np.pi, np.pi, count),
+    )
+    moved = replace(boxes, center_m=boxes.center_m + rng.normal(0, move_m, (count, 3)))
+    assert np.stack(overlaps(boxes, moved)).min() > 1 - 1e-7
 
 
 def test_far_and_flat_boxes_cannot_overlap() -> None:

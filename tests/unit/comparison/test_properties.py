@@ -1,6 +1,8 @@
 """What must hold for every comparison metric: perfect input is best, order means nothing, bounds hold."""
 
 from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -8,6 +10,9 @@ import numpy as np
 import pytest
 
 from evaluator.comparison.summary import ComparisonMetrics, comparison_metrics
+from evaluator.ground_truth import read_ground_truth
+from evaluator.predictions import Predictions
+from evaluator.synthetic import synthesize_ground_truth, write_zip
 from tests.array_factories import Box, disturbed_boxes, make_ground_truth, make_predictions, scattered_boxes
 
 LABELS = ("car", "truck", "bus", "train", "motorcycle", "bicycle")
@@ -60,6 +65,15 @@ def test_ground_truth_against_itself_is_perfect(seed: int) -> None:
     truth, _ = scene(seed)
     for name, value in measured(compare(truth, truth)):
         assert value is None or value == pytest.approx(float(name in SCORES), abs=1e-12), name
+
+
+def test_annotated_streets_against_themselves_are_perfect(tmp_path: Path) -> None:
+    """So it is with boxes at any angle beside each other, which one metric moves along the line of sight."""
+    write_zip(synthesize_ground_truth(500, seed=2), tmp_path / "gt.zip")
+    truth = read_ground_truth(tmp_path / "gt.zip")
+    shared = {field.name: getattr(truth, field.name) for field in fields(Predictions) if field.name != "score"}
+    for name, value in measured(comparison_metrics(truth, Predictions(**shared, score=np.ones(len(truth))))):
+        assert value is None or value == pytest.approx(float(name in SCORES), abs=1e-7), name
 
 
 def test_a_single_box_against_itself_is_perfect() -> None:
