@@ -1,14 +1,16 @@
 """`cs3d compare`: where the difference of two submissions comes from, and whether it can be chance."""
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from client.evaluate import add_unit_option
+from client.options import add_draw_options, add_protocol_choice, add_protocol_options, draw_from, protocol_from
 
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
+    from client.options import Draw
     from evaluator.diagnosis.difference import Difference
-    from evaluator.resampling import Unit
+    from evaluator.protocol import Protocol
     from evaluator.uncertainty import Comparison
 
 
@@ -22,8 +24,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("first", metavar="PRED_A", type=Path)
     parser.add_argument("second", metavar="PRED_B", type=Path)
     parser.add_argument("--gt", metavar="GT", type=Path, required=True, help="the ground truth, *_gtBbox3d.json")
-    parser.add_argument("--labels", metavar="L", nargs="+", help="classes to evaluate (default: the six that rank)")
-    add_unit_option(parser)
+    add_protocol_choice(parser)
+    add_protocol_options(parser)
+    add_draw_options(parser)
     parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
 
@@ -32,29 +35,27 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate both, compare and print; return 0, or 1 when the predictions of either have problems."""
     from client.offline import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
 
-    evaluations = evaluate_fully([args.first, args.second], args.gt, lenient=args.lenient, labels=args.labels)
+    evaluations = evaluate_fully([args.first, args.second], args.gt, protocol_from(args), lenient=args.lenient)
     if evaluations is None:
         return 1
-    from evaluator.confidence import LEVEL  # noqa: PLC0415 - keeps `cs3d --help` fast
     from evaluator.diagnosis.difference import explain_difference  # noqa: PLC0415 - likewise
-    from evaluator.uncertainty import RESAMPLES, SEED, compare  # noqa: PLC0415 - likewise
+    from evaluator.uncertainty import compare  # noqa: PLC0415 - likewise
 
     first, second = evaluations
     difference = explain_difference(first.scores, second.scores)
-    unit: Unit = args.unit or "image"
-    paired = compare(second.statistics, first.statistics, unit=unit)
+    draw = draw_from(args)
+    paired = compare(second.statistics, first.statistics, **asdict(draw))
     if args.json:
         import msgspec  # noqa: PLC0415 - not needed for the table
 
-        drawn = {"unit": unit, "resamples": RESAMPLES, "seed": SEED, "level": LEVEL}
-        document = {"difference": difference, "paired": paired, "bootstrap": drawn}
+        document = {"difference": difference, "paired": paired, "bootstrap": draw}
         print(msgspec.json.format(msgspec.json.encode(document)).decode())
         return 0
-    print(difference_text(difference, paired["mds"], unit))
+    print(difference_text(difference, paired["mds"], draw))
     return 0
 
 
-def difference_text(difference: "Difference", paired: "Comparison | None", unit: "Unit") -> str:
+def difference_text(difference: "Difference", paired: "Comparison | None", draw: "Draw") -> str:
     """Return the split as a table, in percent points, below it what explains it, and both signatures last."""
     from client.score_text import zeroed_note  # noqa: PLC0415 - not needed for JSON
     from client.text_table import percent, points, text_table  # noqa: PLC0415 - likewise
@@ -70,19 +71,25 @@ def difference_text(difference: "Difference", paired: "Comparison | None", unit:
     title = f"mDS {percent(difference.mds[0])} -> {percent(difference.mds[1])}: points of mDS by class and part"
     zeroed = zip(("first", "second"), difference.zeroed_labels, strict=True)
     notes = [f"In the {place} submission {zeroed_note(labels)}" for place, labels in zeroed if labels]
-    chance = f"Paired bootstrap over {UNITS[unit]}: {_chance_text(paired, UNITS[unit])}"
+    said = _chance_text(paired, draw, difference.signatures[0].protocol)
+    chance = f"Paired bootstrap over {UNITS[draw.unit]}: {said}"
     signatures = "\n".join(map(str, difference.signatures))
     return "\n\n".join([text_table(title, header, rows), *notes, chance, signatures])
 
 
-def _chance_text(paired: "Comparison | None", drawn: str) -> str:
+def _chance_text(paired: "Comparison | None", draw: "Draw", protocol: "Protocol") -> str:
     """Say whether the difference can be chance."""
     from client.text_table import points  # noqa: PLC0415 - not needed for JSON
+    from evaluator.interval_rules import can_be_resampled  # noqa: PLC0415 - likewise
+    from evaluator.resampling import UNITS  # noqa: PLC0415 - likewise
 
+    if paired is None and not can_be_resampled(protocol).all():
+        return f"n/a, resamples do not scatter about the mDS of the protocol {protocol.name}."
     if paired is None:
-        return f"n/a, there are too few {drawn} or boxes of a class for it."
+        return f"n/a, there are too few {UNITS[draw.unit]} or boxes of a class for it."
     interval = paired.difference
+    doubt = "" if interval.is_proven else f"; unproven: too few {UNITS[draw.unit]} or boxes of a class"
     return (
-        f"difference {points(interval.estimate)}, 95 % interval "
-        f"[{points(interval.lower)}, {points(interval.upper)}], p = {paired.p_value:.3f}"
+        f"difference {points(interval.estimate)}, {100 * draw.level:g} % interval "
+        f"[{points(interval.lower)}, {points(interval.upper)}], p = {paired.p_value:.3f}{doubt}"
     )

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from client.options import add_protocol_options, protocol_from
+
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Declare the command."""
@@ -13,6 +15,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     parser.add_argument("predictions", metavar="PRED", type=Path, help="one *.json for each image")
     parser.add_argument("--gt", metavar="GT", type=Path, required=True, help="the ground truth, *_gtBbox3d.json")
+    add_protocol_options(parser)
     parser.add_argument("--lenient", action="store_true", help="skip what the reference skips, and say so")
     parser.add_argument(
         "--class",
@@ -30,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate, explain and print; return 0, or 1 when the predictions have problems."""
     from client.offline import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
 
-    evaluations = evaluate_fully([args.predictions], args.gt, lenient=args.lenient)
+    evaluations = evaluate_fully([args.predictions], args.gt, protocol_from(args), lenient=args.lenient)
     if evaluations is None:
         return 1
     from evaluator.diagnosis.diagnose import diagnose  # noqa: PLC0415 - keeps `cs3d --help` fast

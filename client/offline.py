@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from msgspec.structs import replace as replace_fields
 
 from client.report_text import report_text
 from evaluator.errors import UsageError
@@ -16,7 +15,7 @@ from evaluator.ground_truth import GroundTruth, read_ground_truth
 from evaluator.intake import read_predictions, read_predictions_leniently
 from evaluator.matching import evaluated_labels
 from evaluator.parallel import FileEvaluation, evaluate_file, two_processes_help
-from evaluator.protocol import CITYSCAPES3D, Protocol
+from evaluator.protocol import EVALUATED_LABELS, Protocol
 from evaluator.statistics import Statistics
 
 
@@ -56,7 +55,7 @@ def evaluate_offline(
 
 
 def evaluate_fully(
-    sources: Sequence[Path], ground_truth_source: Path, *, lenient: bool, labels: Sequence[str] | None = None
+    sources: Sequence[Path], ground_truth_source: Path, protocol: Protocol, *, lenient: bool
 ) -> list[Evaluation] | None:
     """Evaluate folders or zips of predictions with everything kept that a diagnosis needs: boxes and matches, too.
 
@@ -65,8 +64,8 @@ def evaluate_fully(
     Args:
         sources: Of predictions.
         ground_truth_source: Folder or zip.
+        protocol: The rules.
         lenient: Take what the reference takes.
-        labels: Classes to evaluate; None: those that rank.
 
     Returns:
         One evaluation for each source; None when any of them has errors.
@@ -76,10 +75,9 @@ def evaluate_fully(
         GroundTruthError: The ground truth cannot be used.
     """
     ground_truth, digest = _read_ground_truth(ground_truth_source, sources)
-    protocol = CITYSCAPES3D if labels is None else replace_fields(CITYSCAPES3D, labels=tuple(labels))
     evaluations = [_evaluate(source, ground_truth, digest, protocol, lenient=lenient) for source in sources]
     complete = [evaluation for evaluation in evaluations if evaluation is not None]
-    for evaluation in complete if labels else ():
+    for evaluation in complete if protocol.labels != EVALUATED_LABELS else ():
         note_unknown_labels(evaluation.statistics)
     return complete if len(complete) == len(sources) else None
 

@@ -49,7 +49,12 @@ def _interval_rows(intervals: "NamedIntervals | None") -> list[tuple[str, ...]]:
 
 
 def _bounds(intervals: "Iterable[Interval | None]") -> list[str]:
-    return [UNDEFINED if part is None else f"{percent(part.lower, 1)}-{percent(part.upper, 1)}" for part in intervals]
+    return [UNDEFINED if part is None else _range(part) for part in intervals]
+
+
+def _range(interval: "Interval") -> str:
+    doubt = "" if interval.is_proven else "?"
+    return f"{percent(interval.lower, 1)}-{percent(interval.upper, 1)}{doubt}"
 
 
 def _last_lines(scores: Scores, uncertainty: "Uncertainty | None") -> list[str]:
@@ -58,11 +63,14 @@ def _last_lines(scores: Scores, uncertainty: "Uncertainty | None") -> list[str]:
         return [line]
     level, units = f"{100 * uncertainty.level:g} %", UNITS[uncertainty.unit]
     drawn = f"{uncertainty.resamples} resamples of the {units}"
-    protocol, reason = scores.signature.protocol, f"too few {units} or boxes"
-    if not can_be_resampled(protocol).all():
-        reason += f", and all but AP by the protocol {protocol.name}"
+    few, none = f"too few {units} or boxes", ""
+    if not can_be_resampled(scores.signature.protocol).all():
+        none = f", and all but AP by the protocol {scores.signature.protocol.name}"
+    intervals = [*uncertainty.means.values(), *(one for of in uncertainty.classes.values() for one in of.values())]
+    unproven = any(interval and not interval.is_proven for interval in intervals)
+    mark = f"?: unproven, {few}; n/a: undefined{none}" if unproven else f"n/a: {few}{none}"
     return [
-        f"Second lines: {level} confidence intervals, {uncertainty.method}, {drawn}; n/a: {reason}.",
+        f"Second lines: {level} confidence intervals, {uncertainty.method}, {drawn}; {mark}.",
         "",
         line,
     ]

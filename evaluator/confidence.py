@@ -18,12 +18,14 @@ LEVEL = 0.95
 _NORMAL = NormalDist()
 
 
-class Interval(msgspec.Struct, frozen=True, kw_only=True):
+class Interval(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """An estimate with its confidence interval."""
 
     estimate: float
     lower: float
     upper: float
+    is_proven: bool = True
+    """Whether simulation shows that it covers the truth as often as its level says; in JSON where it does not."""
 
 
 def require_level(level: float) -> None:

@@ -22,7 +22,7 @@ from evaluator.confidence import (
     require_level,
 )
 from evaluator.errors import UsageError
-from evaluator.interval_rules import FEWEST_FOR_INTERVALS, sufficient
+from evaluator.interval_rules import FEWEST_FOR_INTERVALS, can_be_resampled, sufficient
 from evaluator.predictions import Float64Array
 from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, Replicator, every_bin, replicate
 from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, once
@@ -83,8 +83,9 @@ def bootstrap(
     unit: Unit = "image",
     method: Method = "bca",
     by_depth: bool = False,
+    unproven: bool = False,
 ) -> Bootstrap:
-    """Compute all scores on resamples of the images.
+    """Compute all scores on resamples of the images; of depth bins those with enough boxes for an interval, or all.
 
     Raises:
         UsageError: Nothing can be drawn in this way.
@@ -95,7 +96,7 @@ def bootstrap(
     replicator = Replicator(statistics)
     bins = every_bin(statistics) if by_depth else None
     estimate = replicator.replicate(once(images), bins)
-    if by_depth:
+    if by_depth and not unproven:
         bins = np.asarray(sufficient(statistics, estimate, jackknife.units)[-1].any(axis=-1))
     return Bootstrap(
         estimate=estimate,
@@ -114,6 +115,7 @@ def intervals(
     level: float = LEVEL,
     method: Method = "bca",
     by_depth: bool = True,
+    unproven: bool = False,
 ) -> Uncertainty:
     """Compute confidence intervals of all metrics.
 
@@ -126,19 +128,30 @@ def intervals(
         method: "bca" (bias-corrected and accelerated, from a jackknife over the units), which covers best where
             scores are biased by few boxes, or "percentile", which costs two thirds.
         by_depth: Give those of the depth bins, too.
+        unproven: Give those, too, of which too little is known for simulation to confirm the level
+            (evaluator/interval_rules.py). They say so: `Interval.is_proven`. Scores that resamples do not scatter
+            about (`can_be_resampled`) have none all the same.
 
     Returns:
-        The intervals; none at all below `FEWEST_FOR_INTERVALS`, where nothing is drawn.
+        The intervals; none at all below `FEWEST_FOR_INTERVALS`, where nothing is drawn, unless unproven ones will do.
 
     Raises:
         UsageError: Nothing can be drawn in this way, or the level is none.
     """
     require_level(level)
-    if leave_one_out(statistics.images, unit=unit).units < FEWEST_FOR_INTERVALS:
+    if not unproven and leave_one_out(statistics.images, unit=unit).units < FEWEST_FOR_INTERVALS:
         found = _undrawn(statistics, unit=unit, by_depth=by_depth)
     else:
-        found = bootstrap(statistics, resamples=resamples, seed=seed, unit=unit, method=method, by_depth=by_depth)
-    means, classes, depth_bins = named_intervals(statistics, found, level)
+        found = bootstrap(
+            statistics,
+            resamples=resamples,
+            seed=seed,
+            unit=unit,
+            method=method,
+            by_depth=by_depth,
+            unproven=unproven,
+        )
+    means, classes, depth_bins = named_intervals(statistics, found, level, unproven=unproven)
     return Uncertainty(
         level=level,
         resamples=resamples,
@@ -159,11 +172,13 @@ def _undrawn(statistics: Statistics, *, unit: Unit, by_depth: bool) -> Bootstrap
 
 
 def named_intervals(
-    statistics: Statistics, found: Bootstrap, level: float
+    statistics: Statistics, found: Bootstrap, level: float, *, unproven: bool = False
 ) -> tuple[NamedIntervals, dict[str, NamedIntervals], dict[str, tuple[NamedIntervals, ...]]]:
     """Return the intervals of a bootstrap as `Uncertainty` has them: means, classes, depth bins."""
     known = sufficient(statistics, found.estimate, found.units)
-    means, classes, bins = (_intervals(found, part, enough, level) for part, enough in zip(_PARTS, known, strict=True))
+    of_scores = can_be_resampled(statistics.protocol) & unproven
+    also = of_scores, of_scores, np.array(unproven)
+    means, classes, bins = (_intervals(found, *part, level) for part in zip(_PARTS, known, also, strict=True))
     return (
         _named(MEANS, means[None])[0],
         dict(zip(statistics.labels, _named(METRICS, classes), strict=True)),
@@ -179,11 +194,18 @@ _PARTS: tuple[Callable[[Replicates], Float64Array], ...] = (
 
 
 def _intervals(
-    found: Bootstrap, part: Callable[[Replicates], Float64Array], enough: NDArray[np.bool_], level: float
+    found: Bootstrap,
+    part: Callable[[Replicates], Float64Array],
+    enough: NDArray[np.bool_],
+    also: NDArray[np.bool_],
+    level: float,
 ) -> NDArray[np.object_]:
-    """Return the intervals of one part of the replicates in its shape, None where there is none."""
+    """Return the intervals of one part of the replicates in its shape, None where there is none.
+
+    Those of which `enough` is known are proven; the others are given where they are asked for `also`.
+    """
     estimate = part(found.estimate)[0]
-    given = enough & ~np.isnan(estimate)
+    given = (enough | also) & ~np.isnan(estimate)
     drawn = _columns(part(found.drawn), given)
     if found.left_out is None:
         bounds = percentile_bounds(drawn, level)
@@ -191,8 +213,10 @@ def _intervals(
         bounds = bca_bounds(estimate[given], drawn, accelerations(_columns(part(found.left_out), given)), level)
     result = np.full(enough.shape, None, dtype=np.object_)
     result[given] = [
-        None if np.isnan(lower) else Interval(estimate=value, lower=lower, upper=upper)
-        for value, lower, upper in zip(estimate[given].tolist(), *bounds.tolist(), strict=True)
+        None if np.isnan(lower) else Interval(estimate=value, lower=lower, upper=upper, is_proven=is_proven)
+        for value, lower, upper, is_proven in zip(
+            estimate[given].tolist(), *bounds.tolist(), enough[given].tolist(), strict=True
+        )
     ]
     return result
 
@@ -223,6 +247,7 @@ def compare(
     seed: int = SEED,
     unit: Unit = "image",
     level: float = LEVEL,
+    unproven: bool = False,
 ) -> dict[str, Comparison | None]:
     """Compare two submissions on the same images, in every mean.
 
@@ -233,9 +258,11 @@ def compare(
         seed: Decides the draw.
         unit: What is drawn as a whole.
         level: Confidence level in (0, 1).
+        unproven: As for `intervals`.
 
     Returns:
-        By the names of `Scores` (mds, map, ...); None where undefined or where too little is known of either.
+        By the names of `Scores` (mds, map, ...); None where undefined or, unless unproven ones will do, where too
+        little is known of either.
 
     Raises:
         UsageError: Images or protocols differ, nothing can be drawn in this way, or the level is none.
@@ -247,24 +274,28 @@ def compare(
     sides = Replicator(first), Replicator(second)
     scores = [side.replicate(once(first.images)) for side in sides]
     known = sufficient(first, scores[0], units)[0] & sufficient(second, scores[1], units)[0]
-    if not known.any():
+    given = known | (can_be_resampled(first.protocol) & unproven)
+    if not given.any():
         return dict.fromkeys(MEANS)
     weights = bootstrap_weights(first.images, resamples=resamples, seed=seed, unit=unit)
     estimate = scores[0].means[0] - scores[1].means[0]
     drawn = sides[0].replicate(weights).means - sides[1].replicate(weights).means
     return {
-        name: compare_replicates(float(estimate[i]), drawn[:, i], level) if known[i] else None
+        name: compare_replicates(float(estimate[i]), drawn[:, i], level, is_proven=bool(known[i])) if given[i] else None
         for i, name in enumerate(MEANS)
     }
 
 
-def compare_replicates(estimate: float, differences: Float64Array, level: float = LEVEL) -> Comparison | None:
+def compare_replicates(
+    estimate: float, differences: Float64Array, level: float = LEVEL, *, is_proven: bool = True
+) -> Comparison | None:
     """Judge a difference by its replicates.
 
     Args:
         estimate: The difference on the images as they are.
         differences: (R,) the difference on each resample.
         level: Confidence level in (0, 1).
+        is_proven: Whether enough is known for the interval to be trusted, `Interval.is_proven`.
 
     Returns:
         Percentile interval and two-sided p-value (twice the smaller tail beyond 0); None where undefined. The interval
@@ -282,4 +313,5 @@ def compare_replicates(estimate: float, differences: Float64Array, level: float 
     lower, upper = float(ordered[outside]), float(ordered[-1 - outside])
     smaller_tail = min((defined <= 0).sum(), (defined >= 0).sum())
     p_value = min(1.0, 2 * (1 + float(smaller_tail)) / (len(defined) + 1))
-    return Comparison(difference=Interval(estimate=estimate, lower=lower, upper=upper), p_value=p_value)
+    interval = Interval(estimate=estimate, lower=lower, upper=upper, is_proven=is_proven)
+    return Comparison(difference=interval, p_value=p_value)

@@ -64,12 +64,11 @@ def _common_area_m2(first: Float64Array, second: Float64Array) -> Float64Array:
     Of a few in 10,000 rectangles that differ by rounding alone GEOS finds some corners in common and no area. On a grid of
     nanometres it finds the area, to 1e-8 square metres.
     """
-    polygons, others = shapely.polygons(first), shapely.polygons(second)
-    common = shapely.intersection(polygons, others)
+    polygons, others = (np.asarray(shapely.polygons(corners)) for corners in (first, second))
+    common = np.asarray(shapely.intersection(polygons, others))
     is_flat = shapely.get_type_id(common) != shapely.GeometryType.POLYGON
     common[is_flat] = shapely.intersection(polygons[is_flat], others[is_flat], grid_size=_GRID_M)
-    area_m2: Float64Array = shapely.area(common)
-    return area_m2
+    return np.asarray(shapely.area(common))
 
 
 def _common_height(first: Boxes, second: Boxes) -> Float64Array:

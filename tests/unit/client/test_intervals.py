@@ -131,12 +131,87 @@ def test_whole_sequences_can_be_drawn(benchmark: Path, tmp_path: Path, capsys: p
             == 0
         )
         comparison = json.loads(capsys.readouterr().out)
-        assert comparison["bootstrap"] == {"unit": unit, "resamples": 1000, "seed": 20200614, "level": 0.95}
+        standard = {"resamples": 1000, "seed": 20200614, "level": 0.95, "unproven": False}
+        assert comparison["bootstrap"] == {"unit": unit, **standard}
         said[frames, unit] = uncertainty["classes"]["car"]["ap"], comparison["paired"]["mds"]
 
     assert None not in said[1, "image"]
     assert said[1, "image"] == said[1, "sequence"]
     assert said[2, "sequence"] == said[2, "city"] == (None, None)
+
+
+def test_what_too_little_is_known_for_is_given_on_request(
+    benchmark: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every interval of every metric, over 250 sequences; each says that nobody vouches for it, in text and JSON."""
+    _in_sequences(benchmark, tmp_path, 2)
+    asked = ("--unit", "sequence", "--unproven")
+    assert _evaluate(tmp_path, "--intervals", *asked, "--format", "json") == 0
+    document = json.loads(capsys.readouterr().out)
+    means, classes = document["uncertainty"]["means"], document["uncertainty"]["classes"]
+    given = [*means.values(), *(one for of in classes.values() for one in of.values())]
+    assert all(one["is_proven"] is False and one["lower"] <= one["upper"] for one in given)
+    bins = document["uncertainty"]["depth_bins"]["car"]
+    assert all(one is None or not one["is_proven"] for of in bins for one in of.values())
+    assert means["mds"]["lower"] < document["mds"] < means["mds"]["upper"]
+
+    assert _evaluate(tmp_path, "--intervals", *asked) == 0
+    text = capsys.readouterr().out
+    assert "n/a" not in text.split("Second lines")[0]
+    assert "resamples of the sequences; ?: unproven, too few sequences or boxes; n/a: undefined." in text
+    assert f"{100 * means['mds']['lower']:.1f}-{100 * means['mds']['upper']:.1f}?" in text
+
+    sides = [str(tmp_path / name) for name in ("gt.zip", "good.zip", "bad.zip")]
+    assert main(["compare", "--gt", *sides, *asked]) == 0
+    assert "unproven: too few sequences or boxes of a class" in capsys.readouterr().out
+
+
+def test_what_is_proven_stays_what_it_is_among_the_unproven(
+    benchmark: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Asking for more changes nothing of what is given anyway."""
+    assert _evaluate(benchmark, "--intervals", "--format", "json") == 0
+    few = json.loads(capsys.readouterr().out)["uncertainty"]["classes"]["car"]
+    assert _evaluate(benchmark, "--intervals", "--unproven", "--format", "json") == 0
+    all_of_them = json.loads(capsys.readouterr().out)["uncertainty"]["classes"]["car"]
+    assert few["ap"] is not None
+    assert few["yaw_sim"] is None
+    assert all_of_them["yaw_sim"]["is_proven"] is False
+    assert {name: one for name, one in all_of_them.items() if "is_proven" not in one} == {
+        name: one for name, one in few.items() if one is not None
+    }
+
+
+def test_another_draw_level_and_method(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They are the library's arguments, and are said with the numbers; a wider level is wider."""
+    widths = []
+    for level in ("0.5", "0.99"):
+        options = ("--resamples", "200", "--seed", "7", "--level", level, "--method", "percentile")
+        assert _evaluate(benchmark, "--intervals", *options, "--format", "json") == 0
+        uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
+        said = {name: uncertainty[name] for name in ("resamples", "seed", "level", "method")}
+        assert said == {"resamples": 200, "seed": 7, "level": float(level), "method": "percentile"}
+        interval = uncertainty["classes"]["car"]["ap"]
+        widths.append(interval["upper"] - interval["lower"])
+    assert widths[0] < widths[1]
+    sides = [str(benchmark / name) for name in ("gt.zip", "good.zip", "bad.zip")]
+    assert main(["compare", "--gt", *sides, "--labels", "car", "--level", "0.9", "--resamples", "100"]) == 0
+    assert "90 % interval [-" in capsys.readouterr().out
+
+
+def test_every_unit_of_one_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One city is the same however often it is drawn; the message says so, also where unproven intervals will do."""
+    files = synthesize_ground_truth(2, seed=1)
+    write_zip(
+        {f"city_000000_{number:06d}_x.json": data for number, data in enumerate(files.values())}, tmp_path / "gt.zip"
+    )
+    predictions = synthesize_predictions(files, QUALITIES[0], 2, 20)
+    write_zip(
+        {f"city_000000_{number:06d}_x.json": data for number, data in enumerate(predictions.values())},
+        tmp_path / "good.zip",
+    )
+    assert _evaluate(tmp_path, "--intervals", "--unproven", "--unit", "city") == 2
+    assert "there is 1. Draw smaller units" in capsys.readouterr().err
 
 
 def test_texts_name_what_is_drawn(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -209,3 +284,30 @@ def test_a_label_nobody_has_is_noted(benchmark: Path, capsys: pytest.CaptureFixt
     notes = [line for line in capsys.readouterr().err.splitlines() if "has the label" in line]
     note = "note: no box in the ground truth, nor in the predictions outside ignore regions, has the label 'Car'."
     assert notes == [note] * len(command)
+
+
+def test_no_interval_is_given_that_resamples_do_not_bear(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the detection scores of the protocol `paper` there is none on request either, and the texts say why."""
+    assert _evaluate(benchmark, "--intervals", "--unproven", "--protocol", "paper", "--format", "json") == 0
+    uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
+    assert {name for name, one in uncertainty["means"].items() if one} == {"map"}
+    sides = [str(benchmark / name) for name in ("gt.zip", "good.zip", "bad.zip")]
+    assert main(["compare", "--gt", *sides, "--unproven", "--protocol", "paper"]) == 0
+    printed = capsys.readouterr().out
+    assert "n/a, resamples do not scatter about the mDS of the protocol paper." in printed
+    assert printed.splitlines()[-1].startswith("paper:1|")
+
+
+def test_rules_can_be_changed_in_every_offline_command(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The signature tells what was changed; a caravan can be diagnosed."""
+    rules = ["--min-iou", "0.5", "--modal", "--max-depth", "60", "--cw", "0.3"]
+    said = "+min_iou=0.5+max_depth_m=60+working_point=0.3+modal=True|"
+    sides = {name: str(benchmark / f"{name}.zip") for name in ("gt", "good", "bad")}
+    assert main(["compare", "--gt", sides["gt"], sides["good"], sides["bad"], *rules]) == 0
+    assert capsys.readouterr().out.count(f"cityscapes3d:1{said}") == 2
+    assert main(["diagnose", "--gt", sides["gt"], sides["good"], "--labels", "car", "caravan", *rules]) == 0
+    printed = capsys.readouterr().out
+    assert f"cityscapes3d:1+labels=car,caravan{said}" in printed
+    assert "\ncaravan " in printed
+    assert main(["diagnose", "--gt", sides["gt"], sides["good"], "--min-iou", "-1"]) == 2
+    assert "--min-iou" in capsys.readouterr().err
