@@ -101,8 +101,7 @@ def _summary(scores: Scores) -> Summary:
 
 def _matched(ground_truth: GroundTruth, predictions: Predictions, matches: Matches) -> Summary:
     """Score matches as `cityscapes3d` does."""
-    statistics = collect(ground_truth, predictions, matches, CITYSCAPES3D)
-    return _summary(score(statistics, signature_of(CITYSCAPES3D, "", "")))
+    return _summary(score(collect(ground_truth, predictions, matches, signature_of(CITYSCAPES3D))))
 
 
 def _by_rules(rules: Rules) -> Variant:
@@ -126,8 +125,7 @@ def _depth_from_camera(protocol: Protocol) -> Variant:
             replace(ground_truth, center_m=ground_truth.center_m - camera_m[ground_truth.image_index]),
             replace(predictions, center_m=predictions.center_m - camera_m[predictions.image_index]),
         )
-        statistics = collect(*moved, matches, protocol)
-        return _summary(score_by_protocol(statistics, signature_of(protocol, "", "")))
+        return _summary(score_by_protocol(collect(*moved, matches, signature_of(protocol))))
 
     return variant
 
@@ -183,7 +181,7 @@ def _scored_by_paper(ground_truth: GroundTruth, predictions: Predictions) -> Sco
     Thresholds change which pair the reference matches; here each prediction keeps the fate it has at its own score.
     """
     matches = match(ground_truth, predictions, CITYSCAPES3D)
-    whole = collect(ground_truth, predictions, matches, CITYSCAPES3D)
+    whole = collect(ground_truth, predictions, matches, signature_of(CITYSCAPES3D))
     pairs = _at_own_score(whole.pair_masks, whole.pair_score, whole.thresholds)
     wrong = _at_own_score(whole.false_positive_masks, whole.false_positive_score, whole.thresholds)
     statistics = replace(
@@ -191,7 +189,7 @@ def _scored_by_paper(ground_truth: GroundTruth, predictions: Predictions) -> Sco
         **{name: getattr(whole, name)[pairs] for name in Statistics.__slots__ if name.startswith("pair_")},
         **{name: getattr(whole, name)[wrong] for name in Statistics.__slots__ if name.startswith("false_")},
     )
-    return score_by_paper(statistics, signature_of(CITYSCAPES3D, "", ""))
+    return score_by_paper(statistics)
 
 
 def _at_own_score(

@@ -48,10 +48,10 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         import msgspec  # noqa: PLC0415 - not needed for the table
 
-        document = {"difference": difference, "paired": paired, "bootstrap": draw}
+        document = {"difference": difference, "paired": paired}
         print(msgspec.json.format(msgspec.json.encode(document)).decode())
         return 0
-    print(difference_text(difference, paired["mds"], draw))
+    print(difference_text(difference, paired.means["mds"], draw))
     return 0
 
 

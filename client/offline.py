@@ -1,6 +1,5 @@
 """Evaluation of files on this machine: read both sides, score, and say what was found in the predictions."""
 
-import hashlib
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -88,7 +87,7 @@ def _read_ground_truth(source: Path, predictions: Sequence[Path]) -> tuple[Groun
         if not path.exists():
             raise UsageError(f"{path} does not exist; give a folder or a zip file.")
     ground_truth = read_ground_truth(source)
-    return ground_truth, hashlib.sha256(ground_truth.to_bytes()).hexdigest()
+    return ground_truth, ground_truth.sha256()
 
 
 def note_unknown_labels(statistics: Statistics) -> None:

@@ -39,8 +39,8 @@ def evaluate(
         ground_truth: Boxes and ignore regions of all images.
         predictions: Boxes for the same images, in the same order.
         protocol: The rules.
-        ground_truth_sha256: Digest of the ground truth, for the signature.
-        predictions_sha256: Digest of the submission, for the signature.
+        ground_truth_sha256: `GroundTruth.sha256`, for the signature.
+        predictions_sha256: Digest of the submission (`Intake.sha256`), likewise.
         progress: Called with images done and images in all.
 
     Returns:
@@ -50,8 +50,9 @@ def evaluate(
         UsageError: The images differ, or a parameter of the protocol has no meaning (`require_usable`).
     """
     matches = match_by_protocol(ground_truth, predictions, protocol)
-    statistics = collect(ground_truth, predictions, matches, protocol)
-    scores = score_by_protocol(statistics, signature_of(protocol, ground_truth_sha256, predictions_sha256))
+    signature = signature_of(protocol, ground_truth_sha256, predictions_sha256)
+    statistics = collect(ground_truth, predictions, matches, signature)
+    scores = score_by_protocol(statistics)
     if progress is not None:
         progress(len(ground_truth.images), len(ground_truth.images))
     return Evaluation(
@@ -59,8 +60,8 @@ def evaluate(
     )
 
 
-def signature_of(protocol: Protocol, ground_truth_sha256: str, predictions_sha256: str) -> Signature:
-    """Return the signature of a result of this version of the evaluator."""
+def signature_of(protocol: Protocol, ground_truth_sha256: str = "", predictions_sha256: str = "") -> Signature:
+    """Return the signature of a result of this version of the evaluator; digests that nobody knows are empty."""
     return Signature(
         protocol=protocol,
         evaluator_version=EVALUATOR_VERSION,
@@ -83,7 +84,6 @@ def match_by_protocol(ground_truth: GroundTruth, predictions: Predictions, proto
     return match(ground_truth, predictions, protocol)
 
 
-def score_by_protocol(statistics: Statistics, signature: Signature) -> Scores:
+def score_by_protocol(statistics: Statistics) -> Scores:
     """Aggregate by the rules of the protocol's family."""
-    by_paper = statistics.protocol.name == PAPER.name
-    return score_by_paper(statistics, signature) if by_paper else score(statistics, signature)
+    return score_by_paper(statistics) if statistics.protocol.name == PAPER.name else score(statistics)

@@ -1,5 +1,6 @@
 """Ground truth as arrays: cameras, boxes and ignore regions of a set of images; reading and storing it."""
 
+import hashlib
 import os
 import zipfile
 import zlib
@@ -95,6 +96,10 @@ class GroundTruth:
     def to_bytes(self) -> bytes:
         """Write everything to deterministic bytes (evaluator/array_file.py), for a blob named by its digest."""
         return array_file.pack_fields(self)
+
+    def sha256(self) -> str:
+        """Compute the digest of `to_bytes`, which names the ground truth in signatures."""
+        return hashlib.sha256(self.to_bytes()).hexdigest()
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:

@@ -10,12 +10,12 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from evaluator.evaluation import Evaluation, match_by_protocol, score_by_protocol
+from evaluator.evaluation import Evaluation, match_by_protocol, score_by_protocol, signature_of
 from evaluator.fingerprint import fingerprint
 from evaluator.ground_truth import GroundTruth
 from evaluator.predictions import Float64Array, Predictions
 from evaluator.projection import projected_corners_px
-from evaluator.protocol import Protocol, Signature
+from evaluator.protocol import Protocol
 from evaluator.results import Scores
 from evaluator.statistics import Statistics, collect
 from evaluator.thresholds import share_below_lowest_threshold
@@ -127,8 +127,8 @@ def audit_variants(variants: Variants, predictions: Predictions, scores: Scores)
         scores: the official ones.
     """
     mds = scores.mds
-    projected = _scores(variants["projected_modal"]).mds
-    official = _scores(variants["amodal"]).mds if "amodal" in variants else mds
+    projected = score_by_protocol(variants["projected_modal"]).mds
+    official = score_by_protocol(variants["amodal"]).mds if "amodal" in variants else mds
     gap = None if official is None or projected is None else official - projected
     duplicates = _count_duplicates(predictions)
     per_image = np.bincount(predictions.image_index, minlength=1)
@@ -139,7 +139,7 @@ def audit_variants(variants: Variants, predictions: Predictions, scores: Scores)
         modal_gap=gap,
         held=bool(reasons),
         reasons=reasons,
-        score_resolution=_score_resolution(predictions, scores, _scores(variants["evenly_spread"])),
+        score_resolution=_score_resolution(predictions, scores, score_by_protocol(variants["evenly_spread"])),
         duplicate_boxes=duplicates,
         most_boxes_in_image=int(per_image.max()),
         images_with_many_boxes=int((per_image > PLAUSIBLE_BOXES_PER_IMAGE).sum()),
@@ -150,15 +150,9 @@ def audit_variants(variants: Variants, predictions: Predictions, scores: Scores)
 
 def _statistics(ground_truth: GroundTruth, predictions: Predictions, protocol: Protocol) -> Statistics:
     """Evaluate other predictions, or by other rules."""
-    return collect(ground_truth, predictions, match_by_protocol(ground_truth, predictions, protocol), protocol)
-
-
-def _scores(statistics: Statistics) -> Scores:
-    """Score what is only compared and never kept."""
-    unsigned = Signature(
-        protocol=statistics.protocol, evaluator_version="", ground_truth_sha256="", predictions_sha256=""
+    return collect(
+        ground_truth, predictions, match_by_protocol(ground_truth, predictions, protocol), signature_of(protocol)
     )
-    return score_by_protocol(statistics, unsigned)
 
 
 def _with_projected_modal(ground_truth: GroundTruth, predictions: Predictions) -> Predictions:

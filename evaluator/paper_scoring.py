@@ -9,19 +9,17 @@ from numpy.typing import NDArray
 
 from evaluator.average_precision import average_precision, precision_and_recall
 from evaluator.predictions import Float64Array
-from evaluator.protocol import Signature
 from evaluator.results import Scores
 from evaluator.scoring import Aggregates, assemble, count, sum_true_positives
 from evaluator.statistics import Statistics
 from evaluator.true_positive_metrics import integral_over_range
 
 
-def score_by_paper(statistics: Statistics, signature: Signature) -> Scores:
+def score_by_paper(statistics: Statistics) -> Scores:
     """Compute the whole result by the protocol `paper`.
 
     Args:
         statistics: Outcomes of all images, matched by `match_by_paper`.
-        signature: What the scores depend on; stored with them.
 
     Returns:
         The scores; None wherever there is no ground truth to measure on.
@@ -43,7 +41,7 @@ def score_by_paper(statistics: Statistics, signature: Signature) -> Scores:
         true_positives=true_positives,
         similarities=integral_over_range(true_positives.sums, true_positives.counts),
     )
-    return assemble(statistics, aggregates, signature)
+    return assemble(statistics, aggregates)
 
 
 def all_score_curve(

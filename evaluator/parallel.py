@@ -33,7 +33,7 @@ from evaluator.matching import evaluated_labels
 from evaluator.memory import keep_freed_memory
 from evaluator.parts import ground_truth_of, predictions_of
 from evaluator.predictions import Float64Array, Predictions
-from evaluator.protocol import Protocol
+from evaluator.protocol import Protocol, Signature
 from evaluator.report import ProblemGroup, Report
 from evaluator.results import Scores
 from evaluator.statistics import Statistics, collect, join
@@ -170,15 +170,16 @@ class TwoProcesses:
             other.send(None)
             return None
         before = _Before.of(own, self._ground_truth, boxes_after=boxes_after)
-        own_statistics = _match(own, self._ground_truth, self._protocol)
+        sha256 = own.sha256
+        signature = signature_of(self._protocol, self._ground_truth_sha256, sha256)
+        own_statistics = _match(own, self._ground_truth, signature)
         second = other.receive(Statistics)
         other.send(None if second is None else before)  # only then: it is large, and the other must be there to take it
         if second is None:
             return None
         # While the other process looks at the boxes of both and writes the report:
         statistics = join([own_statistics, second])
-        sha256 = own.sha256
-        scores = score_by_protocol(statistics, signature_of(self._protocol, self._ground_truth_sha256, sha256))
+        scores = score_by_protocol(statistics)
         del own, own_statistics, second, before
         report = other.receive(Report)
         if report is None:
@@ -245,10 +246,10 @@ def _read_part(
         return _Read(images, predictions, reading, findings, sha256)
 
 
-def _match(own: _Read, ground_truth: GroundTruth, protocol: Protocol) -> Statistics:
+def _match(own: _Read, ground_truth: GroundTruth, signature: Signature) -> Statistics:
     """Match the images of a part."""
     truth, predictions = ground_truth_of(ground_truth, own.images), predictions_of(own.predictions, own.images)
-    return collect(truth, predictions, match_by_protocol(truth, predictions, protocol), protocol)
+    return collect(truth, predictions, match_by_protocol(truth, predictions, signature.protocol), signature)
 
 
 def _report(before: _Before, own: _Read, ground_truth: GroundTruth) -> Report:
@@ -333,7 +334,7 @@ def _serve(connection: Connection, ground_truth: GroundTruth, protocol: Protocol
         if own is None:
             return
         try:
-            statistics = _match(own, ground_truth, protocol)
+            statistics = _match(own, ground_truth, signature_of(protocol))
         except (UsageError, OSError):  # likewise
             statistics = None
         connection.send(statistics)

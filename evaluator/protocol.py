@@ -120,3 +120,15 @@ class Signature(msgspec.Struct, frozen=True, kw_only=True):
             f"{self.protocol}|evaluator:{self.evaluator_version}"
             f"|gt:{self.ground_truth_sha256[:12]}|pred:{self.predictions_sha256[:12]}"
         )
+
+
+def require_comparable(first: Signature, second: Signature) -> None:
+    """Refuse two results that depend on more than the predictions.
+
+    Raises:
+        UsageError: They come from other protocols or versions of the evaluator, or from other ground truth.
+    """
+    if (first.protocol, first.evaluator_version) != (second.protocol, second.evaluator_version):
+        raise UsageError(f"Score both submissions by one protocol: {first} and {second} differ.")
+    if first.ground_truth_sha256 != second.ground_truth_sha256:
+        raise UsageError("Score both submissions against the same ground truth; their differences mean nothing else.")

@@ -56,12 +56,11 @@ class Aggregates:
     """(C, 4)."""
 
 
-def score(statistics: Statistics, signature: Signature) -> Scores:
+def score(statistics: Statistics) -> Scores:
     """Compute the whole result by the protocol `cityscapes3d`.
 
     Args:
         statistics: Outcomes of all images.
-        signature: What the scores depend on; stored with them.
 
     Returns:
         The scores; None wherever there is no ground truth to measure on.
@@ -79,7 +78,7 @@ def score(statistics: Statistics, signature: Signature) -> Scores:
         true_positives=true_positives,
         similarities=mean_over_bins(true_positives.sums, true_positives.counts),
     )
-    return assemble(statistics, aggregates, signature)
+    return assemble(statistics, aggregates)
 
 
 def count(statistics: Statistics) -> Counts:
@@ -121,7 +120,7 @@ def sum_true_positives(statistics: Statistics, wanted: NDArray[np.bool_]) -> Tru
     return TruePositives(counts[:, :-1], sums.reshape(classes, bins, -1)[:, :-1])
 
 
-def assemble(statistics: Statistics, aggregates: Aggregates, signature: Signature) -> Scores:
+def assemble(statistics: Statistics, aggregates: Aggregates) -> Scores:
     """Put the numbers into a result, None for whatever has no ground truth."""
     precision, recall = class_curves(aggregates.counts)
     depth_bins = _depth_bins(statistics.protocol, aggregates)
@@ -137,7 +136,7 @@ def assemble(statistics: Statistics, aggregates: Aggregates, signature: Signatur
         )
         for index, label in enumerate(statistics.labels)
     )
-    return _with_means(signature, statistics.thresholds, classes)
+    return _with_means(statistics.signature, statistics.thresholds, classes)
 
 
 def _class_score(

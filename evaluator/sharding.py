@@ -6,11 +6,11 @@ scores, statistics and integrity audit with the same bytes as one evaluation of 
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 
-from evaluator.evaluation import match_by_protocol, score_by_protocol
+from evaluator.evaluation import match_by_protocol, score_by_protocol, signature_of
 from evaluator.ground_truth import GroundTruth
 from evaluator.integrity import IntegrityAudit, Variant, Variants, audit_variants, collect_variants, evenly_spread
 from evaluator.parts import ground_truth_of, predictions_of
@@ -54,7 +54,7 @@ def evaluate_shard(ground_truth: GroundTruth, predictions: Predictions, protocol
     truth, own = ground_truth_of(ground_truth, part), predictions_of(predictions, part)
     first = predictions.image_index.searchsorted(images.start)
     spread = evenly_spread(predictions)[first : first + len(own)]
-    official = collect(truth, own, match_by_protocol(truth, own, protocol), protocol)
+    official = collect(truth, own, match_by_protocol(truth, own, protocol), signature_of(protocol))
     return collect_variants(truth, own, official, spread)
 
 
@@ -64,10 +64,11 @@ def reduce_shards(shards: Sequence[Variants], predictions: Predictions, signatur
     Args:
         shards: Of all ranges, in their order.
         predictions: Of all images.
-        signature: What the scores depend on; stored with them.
+        signature: What the scores depend on; stored with them and with the statistics.
     """
     variants = {name: join([shard[name] for shard in shards]) for name in shards[0]}
-    scores = score_by_protocol(variants["official"], signature)
+    variants["official"] = replace(variants["official"], signature=signature)
+    scores = score_by_protocol(variants["official"])
     return Reduction(
         scores=scores,
         statistics=variants["official"],

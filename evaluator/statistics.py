@@ -17,7 +17,7 @@ from evaluator.depth import depth_bin_index
 from evaluator.ground_truth import GroundTruth
 from evaluator.matching import Matches, class_index, evaluated_labels
 from evaluator.predictions import Float64Array, IndexArray, Predictions
-from evaluator.protocol import Protocol
+from evaluator.protocol import Protocol, Signature
 from evaluator.thresholds import MaskArray
 from evaluator.true_positive_metrics import pair_similarities
 
@@ -31,7 +31,8 @@ class Statistics:
     section Depth-Dependent Average Precision). Masks are sets of score thresholds (evaluator/thresholds.py).
     """
 
-    protocol: Protocol
+    signature: Signature
+    """What they, and whatever is computed from them, depend on."""
     images: tuple[str, ...]
     thresholds: Float64Array
 
@@ -53,6 +54,11 @@ class Statistics:
     false_positive_score: Float64Array
 
     @property
+    def protocol(self) -> Protocol:
+        """The rules that boxes were matched by."""
+        return self.signature.protocol
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """The evaluated classes, in the order of the cells."""
         return evaluated_labels(self.protocol)
@@ -66,7 +72,7 @@ class Statistics:
         """Write everything to deterministic bytes (evaluator/array_file.py)."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-        return array_file.pack({"protocol": msgspec.to_builtins(self.protocol), "images": self.images}, arrays)
+        return array_file.pack({"signature": msgspec.to_builtins(self.signature), "images": self.images}, arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -79,8 +85,8 @@ class Statistics:
         if facts.keys() | arrays.keys() != {field.name for field in fields(cls)}:
             raise array_file.ArrayFileError("The array file does not hold statistics; evaluate the submission again.")
         values: dict[str, Any] = dict(arrays)
-        protocol = msgspec.convert(facts["protocol"], Protocol)
-        return cls(protocol=protocol, images=tuple(facts["images"]), **values)
+        signature = msgspec.convert(facts["signature"], Signature)
+        return cls(signature=signature, images=tuple(facts["images"]), **values)
 
 
 def join(parts: Sequence[Statistics]) -> Statistics:
@@ -90,29 +96,30 @@ def join(parts: Sequence[Statistics]) -> Statistics:
         parts: At least one; all under the same protocol.
 
     Returns:
-        Bit for bit what evaluating all images at once gives.
+        Bit for bit what evaluating all images at once gives, with the signature of the first part.
     """
     before = np.cumsum([0, *(len(part.images) for part in parts)])[:-1].astype(np.int32)
     joined: dict[str, Any] = {
         field.name: np.concatenate([getattr(part, field.name) for part in parts])
         for field in fields(Statistics)
-        if field.name not in {"protocol", "images", "thresholds"}
+        if field.name not in {"signature", "images", "thresholds"}
     }
     for name in ("ground_truth_image", "pair_image", "false_positive_image"):
         joined[name] = np.concatenate([getattr(p, name) + offset for p, offset in zip(parts, before, strict=True)])
     images = tuple(image for part in parts for image in part.images)
-    return Statistics(protocol=parts[0].protocol, images=images, thresholds=parts[0].thresholds, **joined)
+    return Statistics(signature=parts[0].signature, images=images, thresholds=parts[0].thresholds, **joined)
 
 
-def collect(ground_truth: GroundTruth, predictions: Predictions, matches: Matches, protocol: Protocol) -> Statistics:
-    """Gather the outcomes of one evaluation."""
+def collect(ground_truth: GroundTruth, predictions: Predictions, matches: Matches, signature: Signature) -> Statistics:
+    """Gather the outcomes of one evaluation, which the signature tells of."""
+    protocol = signature.protocol
     gt_cell = _cells(ground_truth, protocol)
     prediction_cell = _cells(predictions, protocol)
     evaluated = np.flatnonzero(gt_cell >= 0)
     gt_row, prediction_row = matches.ground_truth_index, matches.prediction_index
     wrong = np.flatnonzero(matches.false_positive_thresholds * (prediction_cell >= 0))
     return Statistics(
-        protocol=protocol,
+        signature=signature,
         images=ground_truth.images,
         thresholds=matches.thresholds,
         ground_truth_image=ground_truth.image_index[evaluated],

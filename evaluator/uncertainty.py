@@ -24,6 +24,7 @@ from evaluator.confidence import (
 from evaluator.errors import UsageError
 from evaluator.interval_rules import FEWEST_FOR_INTERVALS, can_be_resampled, sufficient
 from evaluator.predictions import Float64Array
+from evaluator.protocol import Signature, require_comparable
 from evaluator.replicates import BIN_METRICS, MEANS, METRICS, Replicates, Replicator, every_bin, replicate
 from evaluator.resampling import Unit, bootstrap_weights, leave_one_out, once
 from evaluator.statistics import Statistics
@@ -41,6 +42,8 @@ NamedIntervals = dict[str, Interval | None]
 class Uncertainty(msgspec.Struct, frozen=True, kw_only=True):
     """Intervals of every metric."""
 
+    signature: Signature
+    """Of the score that they are about."""
     level: float
     resamples: int
     seed: int
@@ -55,11 +58,23 @@ class Uncertainty(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """First minus second submission, on the same resamples."""
+    """First minus second submission in one metric, on the same resamples."""
 
     difference: Interval
     p_value: float
     """Two-sided, of no difference; in (0, 1]."""
+
+
+class PairedComparison(msgspec.Struct, frozen=True, kw_only=True):
+    """First minus second submission in every mean."""
+
+    signatures: tuple[Signature, Signature]
+    level: float
+    resamples: int
+    seed: int
+    unit: Unit
+    means: dict[str, Comparison | None]
+    """By the names of `Scores`; None where undefined or too little is known of either."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,6 +168,7 @@ def intervals(
         )
     means, classes, depth_bins = named_intervals(statistics, found, level, unproven=unproven)
     return Uncertainty(
+        signature=statistics.signature,
         level=level,
         resamples=resamples,
         seed=seed,
@@ -248,12 +264,12 @@ def compare(
     unit: Unit = "image",
     level: float = LEVEL,
     unproven: bool = False,
-) -> dict[str, Comparison | None]:
+) -> PairedComparison:
     """Compare two submissions on the same images, in every mean.
 
     Args:
         first: Outcomes of one submission.
-        second: Outcomes of the other, on the same images under the same protocol.
+        second: Outcomes of the other, on the same images and ground truth under the same protocol.
         resamples: Bootstrap resamples.
         seed: Decides the draw.
         unit: What is drawn as a whole.
@@ -261,29 +277,36 @@ def compare(
         unproven: As for `intervals`.
 
     Returns:
-        By the names of `Scores` (mds, map, ...); None where undefined or, unless unproven ones will do, where too
-        little is known of either.
+        Differences, intervals and p-values; None where undefined or, unless unproven ones will do, where too little is
+        known of either.
 
     Raises:
-        UsageError: Images or protocols differ, nothing can be drawn in this way, or the level is none.
+        UsageError: Images, ground truth or protocols differ, nothing can be drawn in this way, or the level is none.
     """
-    if (first.images, first.protocol) != (second.images, second.protocol):
-        raise UsageError("Only submissions evaluated on the same images under the same protocol can be compared.")
+    require_comparable(first.signature, second.signature)
+    if first.images != second.images:
+        raise UsageError("Only submissions evaluated on the same images can be compared.")
     require_level(level)
     units = leave_one_out(first.images, unit=unit).units
     sides = Replicator(first), Replicator(second)
     scores = [side.replicate(once(first.images)) for side in sides]
     known = sufficient(first, scores[0], units)[0] & sufficient(second, scores[1], units)[0]
     given = known | (can_be_resampled(first.protocol) & unproven)
-    if not given.any():
-        return dict.fromkeys(MEANS)
-    weights = bootstrap_weights(first.images, resamples=resamples, seed=seed, unit=unit)
-    estimate = scores[0].means[0] - scores[1].means[0]
-    drawn = sides[0].replicate(weights).means - sides[1].replicate(weights).means
-    return {
-        name: compare_replicates(float(estimate[i]), drawn[:, i], level, is_proven=bool(known[i])) if given[i] else None
-        for i, name in enumerate(MEANS)
-    }
+    means: dict[str, Comparison | None] = dict.fromkeys(MEANS)
+    if given.any():
+        weights = bootstrap_weights(first.images, resamples=resamples, seed=seed, unit=unit)
+        estimate = scores[0].means[0] - scores[1].means[0]
+        drawn = sides[0].replicate(weights).means - sides[1].replicate(weights).means
+        for i in np.flatnonzero(given).tolist():
+            means[MEANS[i]] = compare_replicates(float(estimate[i]), drawn[:, i], level, is_proven=bool(known[i]))
+    return PairedComparison(
+        signatures=(first.signature, second.signature),
+        level=level,
+        resamples=resamples,
+        seed=seed,
+        unit=unit,
+        means=means,
+    )
 
 
 def compare_replicates(

@@ -10,7 +10,7 @@ import msgspec
 
 from evaluator.diagnosis.loss import PARTS, Parts, factors, split_change
 from evaluator.errors import UsageError
-from evaluator.protocol import Signature
+from evaluator.protocol import Signature, require_comparable
 from evaluator.results import ClassScore, Scores
 
 
@@ -64,11 +64,9 @@ def explain_difference(first: Scores, second: Scores) -> Difference:
 
 def _check_comparable(first: Scores, second: Scores) -> None:
     """Refuse scores that depend on more than the predictions."""
-    one, other = first.signature, second.signature
-    if (one.protocol, one.evaluator_version) != (other.protocol, other.evaluator_version):
-        raise UsageError(f"Score both submissions by one protocol: {one} and {other} differ.")
-    counts = [[score.ground_truth_count for score in scores.classes] for scores in (first, second)]
-    if one.ground_truth_sha256 != other.ground_truth_sha256 or counts[0] != counts[1]:
+    require_comparable(first.signature, second.signature)
+    one, other = ([score.ground_truth_count for score in scores.classes] for scores in (first, second))
+    if one != other:
         raise UsageError("Score both submissions against the same ground truth; their differences mean nothing else.")
 
 

@@ -46,7 +46,7 @@ def oracles(evaluation: Evaluation) -> tuple[Oracle, ...]:
 def _run(name: str, change: Callable[[Evaluation], Statistics], evaluation: Evaluation) -> Oracle:
     """Change the outcomes, score them, and compare with the scores as they are."""
     before = evaluation.scores
-    after = score_by_protocol(change(evaluation), before.signature)
+    after = score_by_protocol(change(evaluation))
     classes = tuple(_of_class(*pair) for pair in zip(before.classes, after.classes, strict=True))
     gains = [one.gain for one in classes if one.gain is not None]
     return Oracle(name=name, mds=after.mds, gain=sum(gains) / len(gains) if gains else None, classes=classes)

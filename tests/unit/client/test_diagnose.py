@@ -112,7 +112,7 @@ def test_compare_splits_the_difference(capsys: pytest.CaptureFixture[str], worse
         read_predictions(folder, images=None).sha256 for folder in (CASE / "pred", worse)
     ]
     # Sixty images are too few for intervals.
-    assert document["paired"]["mds"] is None
+    assert document["paired"]["means"]["mds"] is None
 
 
 def test_compare_prints_a_table(capsys: pytest.CaptureFixture[str], worse: Path) -> None:

@@ -73,7 +73,7 @@ def test_the_table_says_why_there_is_no_interval(benchmark: Path, capsys: pytest
         ("cityscapes3d", "n/a: too few images or boxes."),
         ("paper", "n/a: too few images or boxes, and all but AP by the protocol paper."),
     ):
-        assert _evaluate(benchmark, "--intervals", "--protocol", protocol) == 0
+        assert _evaluate(benchmark, "--intervals", "--protocol", protocol, "--resamples", "100") == 0
         assert capsys.readouterr().out.splitlines()[-3].endswith(reason)
 
 
@@ -115,7 +115,7 @@ def test_whole_sequences_can_be_drawn(benchmark: Path, tmp_path: Path, capsys: p
         folder = tmp_path / f"{frames} {unit}"
         folder.mkdir()
         _in_sequences(benchmark, folder, frames)
-        assert _evaluate(folder, "--intervals", "--unit", unit, "--format", "json") == 0
+        assert _evaluate(folder, "--intervals", "--unit", unit, "--format", "json", "--resamples", "100") == 0
         uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
         assert uncertainty["unit"] == unit
         assert (
@@ -126,14 +126,17 @@ def test_whole_sequences_can_be_drawn(benchmark: Path, tmp_path: Path, capsys: p
                     *(str(folder / f"{name}.zip") for name in ("good", "bad")),
                     "--unit",
                     unit,
+                    "--resamples",
+                    "100",
                 ]
             )
             == 0
         )
         comparison = json.loads(capsys.readouterr().out)
-        standard = {"resamples": 1000, "seed": 20200614, "level": 0.95, "unproven": False}
-        assert comparison["bootstrap"] == {"unit": unit, **standard}
-        said[frames, unit] = uncertainty["classes"]["car"]["ap"], comparison["paired"]["mds"]
+        standard = {"resamples": 100, "seed": 20200614, "level": 0.95}
+        assert {name: comparison["paired"][name] for name in ("unit", *standard)} == {"unit": unit, **standard}
+        assert comparison["paired"]["signatures"] == comparison["difference"]["signatures"][::-1]
+        said[frames, unit] = uncertainty["classes"]["car"]["ap"], comparison["paired"]["means"]["mds"]
 
     assert None not in said[1, "image"]
     assert said[1, "image"] == said[1, "sequence"]
@@ -145,7 +148,7 @@ def test_what_too_little_is_known_for_is_given_on_request(
 ) -> None:
     """Every interval of every metric, over 250 sequences; each says that nobody vouches for it, in text and JSON."""
     _in_sequences(benchmark, tmp_path, 2)
-    asked = ("--unit", "sequence", "--unproven")
+    asked = ("--unit", "sequence", "--unproven", "--resamples", "100")
     assert _evaluate(tmp_path, "--intervals", *asked, "--format", "json") == 0
     document = json.loads(capsys.readouterr().out)
     means, classes = document["uncertainty"]["means"], document["uncertainty"]["classes"]
@@ -170,9 +173,9 @@ def test_what_is_proven_stays_what_it_is_among_the_unproven(
     benchmark: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Asking for more changes nothing of what is given anyway."""
-    assert _evaluate(benchmark, "--intervals", "--format", "json") == 0
+    assert _evaluate(benchmark, "--intervals", "--resamples", "100", "--format", "json") == 0
     few = json.loads(capsys.readouterr().out)["uncertainty"]["classes"]["car"]
-    assert _evaluate(benchmark, "--intervals", "--unproven", "--format", "json") == 0
+    assert _evaluate(benchmark, "--intervals", "--resamples", "100", "--unproven", "--format", "json") == 0
     all_of_them = json.loads(capsys.readouterr().out)["uncertainty"]["classes"]["car"]
     assert few["ap"] is not None
     assert few["yaw_sim"] is None
@@ -288,11 +291,16 @@ def test_a_label_nobody_has_is_noted(benchmark: Path, capsys: pytest.CaptureFixt
 
 def test_no_interval_is_given_that_resamples_do_not_bear(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of the detection scores of the protocol `paper` there is none on request either, and the texts say why."""
-    assert _evaluate(benchmark, "--intervals", "--unproven", "--protocol", "paper", "--format", "json") == 0
+    assert (
+        _evaluate(
+            benchmark, "--intervals", "--unproven", "--protocol", "paper", "--format", "json", "--resamples", "100"
+        )
+        == 0
+    )
     uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
     assert {name for name, one in uncertainty["means"].items() if one} == {"map"}
     sides = [str(benchmark / name) for name in ("gt.zip", "good.zip", "bad.zip")]
-    assert main(["compare", "--gt", *sides, "--unproven", "--protocol", "paper"]) == 0
+    assert main(["compare", "--gt", *sides, "--unproven", "--protocol", "paper", "--resamples", "100"]) == 0
     printed = capsys.readouterr().out
     assert "n/a, resamples do not scatter about the mDS of the protocol paper." in printed
     assert printed.splitlines()[-1].startswith("paper:1|")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluator.evaluation import evaluate
+from evaluator.evaluation import evaluate, signature_of
 from evaluator.interval_rules import (
     FEWEST_BOXES,
     FEWEST_BOXES_IN_BIN,
@@ -100,7 +100,9 @@ def test_few_images_or_clusters_give_nothing() -> None:
 def test_integrals_over_the_whole_range_give_nothing_but_average_precision() -> None:
     """Under the protocol `paper` a resample that empties any depth bin loses it: only AP scatters about the score."""
     statistics, estimate = _found([1000] * 20)
-    means, classes, bins = sufficient(replace(statistics, protocol=PAPER), estimate, FEWEST_FOR_INTERVALS)
+    means, classes, bins = sufficient(
+        replace(statistics, signature=signature_of(PAPER)), estimate, FEWEST_FOR_INTERVALS
+    )
 
     assert {METRICS[i] for i in np.flatnonzero(means)} == {METRICS[i] for i in np.flatnonzero(classes[CAR])} == {"ap"}
     assert bins[CAR].all()

@@ -42,7 +42,7 @@ def _zip(folder: Path, changes: dict[str, bytes], name: str = "predictions.zip")
     files = {file.name: file.read_bytes() for file in (CASE / "pred").iterdir()} | changes
     with zipfile.ZipFile(path, "w") as archive:
         for file, data in sorted(files.items()):
-            archive.writestr(file, data)
+            archive.writestr(zipfile.ZipInfo(file), data)  # of 1980: equal bytes whenever it is written
     return path
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluator.errors import UsageError
-from evaluator.evaluation import Evaluation, evaluate, signature_of
+from evaluator.evaluation import Evaluation, evaluate
 from evaluator.ground_truth import read_ground_truth
 from evaluator.paper_replicates import ScoreCurves
 from evaluator.parts import ground_truth_of
@@ -209,7 +209,7 @@ def test_boxes_that_come_and_go_with_the_threshold_are_counted_where_they_are() 
 
     found = replicate(drawn, np.ones((1, len(drawn.images)), dtype=np.float32), by_depth=True)
 
-    _equal(found, score(drawn, signature_of(CITYSCAPES3D, "g", "p")))
+    _equal(found, score(drawn))
 
 
 def test_memory_does_not_grow_with_resamples_of_false_positives() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from evaluator.array_file import ArrayFileError, pack, unpack
 from evaluator.errors import UsageError
-from evaluator.evaluation import Evaluation, evaluate
+from evaluator.evaluation import Evaluation, evaluate, signature_of
 from evaluator.ground_truth import read_ground_truth
 from evaluator.parts import ground_truth_of
 from evaluator.protocol import CITYSCAPES3D, PAPER
@@ -67,7 +67,7 @@ def test_one_image_has_no_replicates() -> None:
 
 def test_the_protocol_paper_has_no_replicates() -> None:
     """Its detection scores do not scatter about the score, so a leaderboard by it says nothing of ranks."""
-    statistics = replace(_evaluate(60).statistics, protocol=PAPER)
+    statistics = replace(_evaluate(60).statistics, signature=signature_of(PAPER))
 
     with pytest.raises(UsageError, match="cannot be resampled"):
         score_replicates(statistics, DRAW)

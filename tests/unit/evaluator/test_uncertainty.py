@@ -9,7 +9,7 @@ from msgspec.structs import replace as replace_fields
 
 from evaluator.confidence import LEVEL, Interval
 from evaluator.errors import UsageError
-from evaluator.evaluation import Evaluation, evaluate
+from evaluator.evaluation import Evaluation, evaluate, signature_of
 from evaluator.ground_truth import read_ground_truth
 from evaluator.parts import ground_truth_of
 from evaluator.predictions import Float64Array
@@ -84,7 +84,7 @@ def plenty(repeated: Statistics) -> Statistics:
         for side, columns in COLUMNS.items()
         for column in columns
     }
-    return replace(repeated, protocol=protocol, **own)
+    return replace(repeated, signature=signature_of(protocol), **own)
 
 
 COLUMNS = {
@@ -97,7 +97,7 @@ COLUMNS = {
 
 def test_too_few_boxes_are_not_compared(evaluation: Evaluation) -> None:
     """Sixty images give no interval of a difference either."""
-    assert set(compare(evaluation.statistics, evaluation.statistics, resamples=10).values()) == {None}
+    assert set(compare(evaluation.statistics, evaluation.statistics, resamples=10).means.values()) == {None}
 
 
 @pytest.mark.parametrize("method", ["percentile", "bca"])
@@ -182,7 +182,7 @@ def test_few_images_give_no_interval(evaluation: Evaluation) -> None:
 
 def test_a_submission_does_not_differ_from_itself(plenty: Statistics) -> None:
     """Difference 0 on every resample: interval [0, 0], p-value 1."""
-    found = compare(plenty, plenty, resamples=50)["mds"]
+    found = compare(plenty, plenty, resamples=50).means["mds"]
 
     assert found is not None
     assert (found.difference.estimate, found.difference.lower, found.difference.upper) == (0, 0, 0)
@@ -220,6 +220,22 @@ def test_too_few_resamples_show_no_difference() -> None:
 
     assert Standings.of(few).groups([0, 1]) == [[0, 1]]
     assert Standings.of(enough).groups([0, 1]) == []
+
+
+def test_whatever_follows_from_statistics_is_signed_like_them(plenty: Statistics) -> None:
+    """Intervals and differences say what they depend on; stored statistics do, too."""
+    first, second = (replace(plenty, signature=signature_of(plenty.protocol, "a" * 64, sha256)) for sha256 in "bc")
+    assert intervals(first, resamples=10, by_depth=False).signature == first.signature
+    assert compare(first, second, resamples=10).signatures == (first.signature, second.signature)
+    assert Statistics.from_bytes(first.to_bytes()).signature == first.signature
+
+
+def test_submissions_on_other_ground_truth_cannot_be_compared(plenty: Statistics) -> None:
+    """The images may be the same; their annotations are not."""
+    corrected = replace(plenty, signature=signature_of(plenty.protocol, "d" * 64))
+
+    with pytest.raises(UsageError, match="same ground truth"):
+        compare(plenty, corrected)
 
 
 def test_submissions_on_other_images_cannot_be_compared(evaluation: Evaluation) -> None:
