@@ -13,34 +13,23 @@ only. The standard error of 95 % in N data sets is 22 / sqrt(N) percent points: 
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Sequence
-from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from evaluator.confidence import LEVEL, Interval  # noqa: E402 - the path is set above
-from evaluator.evaluation import evaluate  # noqa: E402 - likewise
-from evaluator.ground_truth import read_ground_truth  # noqa: E402 - likewise
-from evaluator.intake import read_predictions  # noqa: E402 - likewise
+from bench._population import POPULATION, populations, taken  # noqa: E402 - the path is set above
+from evaluator.confidence import LEVEL, Interval  # noqa: E402 - likewise
 from evaluator.interval_rules import FEWEST_BOXES_FOR_DIFFERENCE, sufficient  # noqa: E402 - likewise
-from evaluator.predictions import Float64Array, IndexArray  # noqa: E402 - likewise
-from evaluator.protocol import PROTOCOLS, Protocol  # noqa: E402 - likewise
+from evaluator.predictions import Float64Array  # noqa: E402 - likewise
+from evaluator.protocol import PROTOCOLS  # noqa: E402 - likewise
 from evaluator.replicates import BIN_METRICS, METRICS, Replicates, replicate  # noqa: E402 - likewise
 from evaluator.resampling import Unit  # noqa: E402 - likewise
 from evaluator.statistics import Statistics  # noqa: E402 - likewise
-from evaluator.synthetic import (  # noqa: E402 - likewise
-    QUALITIES,
-    synthesize_ground_truth,
-    synthesize_predictions,
-    write_zip,
-)
 from evaluator.uncertainty import (  # noqa: E402 - likewise
     Bootstrap,
     NamedIntervals,
@@ -49,7 +38,6 @@ from evaluator.uncertainty import (  # noqa: E402 - likewise
     named_intervals,
 )
 
-POPULATION = 4000
 METHODS = {"good": (0, 8), "good, another draw": (0, 9), "middling": (1, 8)}
 """Which of `QUALITIES`, and the seed."""
 PAIRS = {"two draws of one method": (0, 1), "good and middling": (0, 2)}
@@ -72,15 +60,15 @@ def main() -> None:
     parser.add_argument("--unit", choices=get_args(Unit), default="image", help="what intervals draw as a whole")
     args = parser.parse_args()
     by_depth = not args.without_depth_bins
-    populations = _populations(PROTOCOLS[args.protocol])
+    found = populations(METHODS.values(), PROTOCOLS[args.protocol])
     everything = np.ones((1, POPULATION), dtype=np.float32)
-    truths = [replicate(population, everything, by_depth=by_depth) for population in populations]
+    truths = [replicate(population, everything, by_depth=by_depth) for population in found]
     rng = np.random.default_rng(3)
     hits = []
     for _ in range(args.data_sets):
         drawn = rng.integers(0, POPULATION, args.images)
         frames = rng.integers(1, args.frames, args.images, endpoint=True) if args.frames > 1 else np.ones_like(drawn)
-        parts = [taken(population, drawn, frames) for population in populations]
+        parts = [taken(population, drawn, frames) for population in found]
         hits.append(_hits(parts, truths, unit=args.unit, by_depth=by_depth))
     print(f"{args.protocol}, coverage of 95 % intervals in percent, {args.data_sets} data sets of {args.images} images")
     if args.frames > 1:
@@ -170,48 +158,6 @@ def _row(intervals: NamedIntervals, truth: Float64Array) -> Float64Array:
 
 def _holds(interval: Interval | None, truth: float) -> float:
     return float("nan") if interval is None else float(interval.lower <= truth <= interval.upper)
-
-
-def taken(statistics: Statistics, images: NDArray[np.int64], frames: NDArray[np.int64]) -> Statistics:
-    """Return the statistics of a data set that holds a sequence for each of these images: so many frames, all like it."""
-    image_names = [
-        f"city_{number:06d}_{frame:06d}" for number, own in enumerate(frames.tolist()) for frame in range(own)
-    ]
-    images = np.repeat(images, frames)
-    columns: dict[str, Any] = {}
-    for side in ("ground_truth", "pair", "false_positive"):
-        rows, image = _rows_of(getattr(statistics, f"{side}_image"), images)
-        names = [field.name for field in fields(Statistics) if field.name.startswith(f"{side}_")]
-        columns |= {name: getattr(statistics, name)[rows] for name in names}
-        columns[f"{side}_image"] = image
-    return replace(statistics, images=tuple(image_names), **columns)
-
-
-def _rows_of(
-    image_of_row: IndexArray, images: NDArray[np.int64]
-) -> tuple[np.ndarray[Any, np.dtype[np.intp]], IndexArray]:
-    """Return the rows of each of these images, one image after the other, and the place of their image."""
-    order = np.argsort(image_of_row, kind="stable")
-    start, stop = (np.searchsorted(image_of_row[order], images, side=side) for side in ("left", "right"))
-    rows = [order[first:last] for first, last in zip(start, stop, strict=True)]
-    return np.concatenate(rows), np.repeat(np.arange(len(images), dtype=np.int32), stop - start)
-
-
-def _populations(protocol: Protocol) -> list[Statistics]:
-    """Evaluate the methods on the population."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        files = synthesize_ground_truth(POPULATION, seed=7)
-        write_zip(files, folder / "gt.zip")
-        ground_truth = read_ground_truth(folder / "gt.zip")
-        found = []
-        for quality, seed in METHODS.values():
-            write_zip(synthesize_predictions(files, QUALITIES[quality], seed, 20), folder / "predictions.zip")
-            predictions = read_predictions(folder / "predictions.zip", images=ground_truth.image_list()).predictions
-            if predictions is None:
-                raise SystemExit("the synthetic predictions are refused")
-            found.append(evaluate(ground_truth, predictions, protocol).statistics)
-    return found
 
 
 if __name__ == "__main__":
