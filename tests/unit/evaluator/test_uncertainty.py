@@ -14,7 +14,7 @@ from evaluator.ground_truth import read_ground_truth
 from evaluator.parts import ground_truth_of
 from evaluator.predictions import Float64Array
 from evaluator.protocol import CITYSCAPES3D
-from evaluator.replicates import MEANS, METRICS, replicate
+from evaluator.replicates import METRICS, replicate
 from evaluator.resampling import bootstrap_weights, leave_one_out, unit_index
 from evaluator.standings import Standings
 from evaluator.statistics import Statistics, join
@@ -37,11 +37,6 @@ def evaluation() -> Evaluation:
     """Sixty images of the recorded realistic case."""
     ground_truth = read_ground_truth(CASE / "gt")
     return evaluate(ground_truth, load_predictions(CASE / "pred", ground_truth.images, CITYSCAPES3D.labels))
-
-
-def _replicated(statistics: Statistics, weights: list[float]) -> list[float]:
-    found = replicate(statistics, np.array([weights], dtype=np.float32))
-    return [*found.means[0].tolist(), *found.classes[0].ravel().tolist()]
 
 
 def test_resamples_draw_as_many_images_as_there_are() -> None:
@@ -305,25 +300,3 @@ def test_stored_statistics_give_the_same_replicates(evaluation: Evaluation) -> N
 
     assert stored.to_bytes() == evaluation.statistics.to_bytes()
     assert np.array_equal(mds_replicates(stored, resamples=20), mds_replicates(evaluation.statistics, resamples=20))
-
-
-def test_a_95_percent_interval_covers_the_truth_about_95_times_in_100(evaluation: Evaluation) -> None:
-    """Simulation: 100 data sets drawn from the case's images as population, AP of cars as truth.
-
-    With a true coverage of 95 % the share of hits has a standard deviation of 2.2 %; three of them are allowed.
-    bench/interval_coverage.py does it at length.
-    """
-    statistics = evaluation.statistics
-    images = len(statistics.images)
-    data_sets, resamples = 100, 150
-    rng = np.random.default_rng(5)
-    truth = _replicated(statistics, [1.0] * images)[len(MEANS)]
-    data = rng.integers(0, images, (data_sets, 1, images)).repeat(resamples, axis=1)
-    drawn = np.take_along_axis(data, rng.integers(0, images, data.shape), axis=2).reshape(-1, images)
-    drawn += (np.arange(len(drawn)) * images)[:, None]
-    weights = np.bincount(drawn.ravel(), minlength=drawn.size).reshape(-1, images).astype(np.float32)
-
-    ap = replicate(statistics, weights).classes[:, 0, 0].reshape(data_sets, resamples)
-
-    lower, upper = np.quantile(ap, [0.025, 0.975], axis=1)
-    assert 0.88 <= ((lower <= truth) & (truth <= upper)).mean() <= 1.0
