@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate both, compare and print; return 0, or 1 when the predictions of either have problems."""
     from client.offline import evaluate_fully  # noqa: PLC0415 - keeps `cs3d --help` fast
 
+    draw = draw_from(args)
     evaluations = evaluate_fully([args.first, args.second], args.gt, protocol_from(args), lenient=args.lenient)
     if evaluations is None:
         return 1
@@ -43,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
 
     first, second = evaluations
     difference = explain_difference(first.scores, second.scores)
-    draw = draw_from(args)
     paired = compare(second.statistics, first.statistics, **asdict(draw))
     if args.json:
         import msgspec  # noqa: PLC0415 - not needed for the table

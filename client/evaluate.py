@@ -15,10 +15,11 @@ from client.options import (
 )
 
 if TYPE_CHECKING:  # everything heavy is imported when the command runs
+    from client.options import Draw
     from evaluator.protocol import Protocol
     from evaluator.results import Scores
     from evaluator.statistics import Statistics
-    from evaluator.uncertainty import Uncertainty
+    from evaluator.uncertainty import Method, Uncertainty
 
 FORMATS = ("table", "json", "cityscapes")
 MOST_DEPTH_BINS_WITH_INTERVALS = 100
@@ -57,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
     protocol = protocol_from(args)
     _require_sense(args, protocol)
+    draw = draw_from(args) if args.intervals else None
     found = evaluate_offline(args.gt, args.predictions, protocol, lenient=args.lenient)
     if notes := report_text(found.report):
         print(notes, file=sys.stderr)
@@ -64,17 +66,17 @@ def run(args: argparse.Namespace) -> int:
         return 1
     if args.labels:
         note_unknown_labels(found.statistics)
-    uncertainty = _uncertainty(found.statistics, args) if args.intervals else None
+    uncertainty = _uncertainty(found.statistics, draw, args.method or "bca") if draw else None
     _write(formatted(found.scores, args.format, uncertainty), args.output)
     return 0
 
 
-def _uncertainty(statistics: "Statistics", args: argparse.Namespace) -> "Uncertainty":
+def _uncertainty(statistics: "Statistics", draw: "Draw", method: "Method") -> "Uncertainty":
     from dataclasses import asdict  # noqa: PLC0415 - seldom needed
 
     from evaluator.uncertainty import intervals  # noqa: PLC0415 - likewise
 
-    return intervals(statistics, method=args.method or "bca", **asdict(draw_from(args)))
+    return intervals(statistics, method=method, **asdict(draw))
 
 
 def _require_sense(args: argparse.Namespace, protocol: "Protocol") -> None:

@@ -1,6 +1,7 @@
 """Options that commands share: the parameters of a protocol, and how a bootstrap draws."""
 
 import argparse
+import math
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,10 @@ _OPTIONS = {
 """Parameter of a protocol -> the option that sets it."""
 _AUTOMATIC_WORKING_POINT = -1.0
 """The reference's way to ask for the best working point of each class."""
+MOST_RESAMPLES = 10_000
+"""All are in memory at once: 0.4 GB for 1525 images."""
+FEWEST_IN_TAIL = 5
+"""Resamples beyond either bound of an interval; with fewer the bound is little more than the most extreme of them."""
 _DRAWN = {"unit": "--unit", "resamples": "--resamples", "seed": "--seed", "level": "--level", "unproven": "--unproven"}
 
 
@@ -110,14 +115,31 @@ def draw_options_given(args: argparse.Namespace) -> list[str]:
 
 
 def draw_from(args: argparse.Namespace) -> Draw:
-    """Return what was asked for, with the defaults of the library."""
-    from evaluator.confidence import LEVEL  # noqa: PLC0415 - keeps `cs3d --help` fast
+    """Return what was asked for, with the defaults of the library.
+
+    Raises:
+        UsageError: The resamples are too few for the level or too many for the memory, or a value has no meaning.
+    """
+    from evaluator.confidence import LEVEL, require_level  # noqa: PLC0415 - keeps `cs3d --help` fast
+    from evaluator.errors import UsageError  # noqa: PLC0415 - likewise
     from evaluator.uncertainty import RESAMPLES, SEED  # noqa: PLC0415 - likewise
 
-    return Draw(
+    draw = Draw(
         unit=args.unit or "image",
         resamples=RESAMPLES if args.resamples is None else args.resamples,
         seed=SEED if args.seed is None else args.seed,
         level=LEVEL if args.level is None else args.level,
         unproven=bool(args.unproven),
     )
+    require_level(draw.level)
+    fewest = math.ceil(2 * FEWEST_IN_TAIL / (1 - draw.level) - _ROUNDING)
+    if fewest > MOST_RESAMPLES:
+        highest = 1 - 2 * FEWEST_IN_TAIL / MOST_RESAMPLES
+        raise UsageError(f"--level must be at most {highest:g}: {MOST_RESAMPLES} resamples tell no more.")
+    if not fewest <= draw.resamples <= MOST_RESAMPLES:
+        raise UsageError(f"--resamples must be from {fewest} to {MOST_RESAMPLES} at --level {draw.level:g}.")
+    return draw
+
+
+_ROUNDING = 1e-6
+"""Far above the rounding error of 1 - level, so that 0.95 needs 200 as on paper."""

@@ -73,7 +73,7 @@ def test_the_table_says_why_there_is_no_interval(benchmark: Path, capsys: pytest
         ("cityscapes3d", "n/a: too few images or boxes."),
         ("paper", "n/a: too few images or boxes, and all but AP by the protocol paper."),
     ):
-        assert _evaluate(benchmark, "--intervals", "--protocol", protocol, "--resamples", "100") == 0
+        assert _evaluate(benchmark, "--intervals", "--protocol", protocol, "--resamples", "200") == 0
         assert capsys.readouterr().out.splitlines()[-3].endswith(reason)
 
 
@@ -115,7 +115,7 @@ def test_whole_sequences_can_be_drawn(benchmark: Path, tmp_path: Path, capsys: p
         folder = tmp_path / f"{frames} {unit}"
         folder.mkdir()
         _in_sequences(benchmark, folder, frames)
-        assert _evaluate(folder, "--intervals", "--unit", unit, "--format", "json", "--resamples", "100") == 0
+        assert _evaluate(folder, "--intervals", "--unit", unit, "--format", "json", "--resamples", "200") == 0
         uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
         assert uncertainty["unit"] == unit
         assert (
@@ -127,13 +127,13 @@ def test_whole_sequences_can_be_drawn(benchmark: Path, tmp_path: Path, capsys: p
                     "--unit",
                     unit,
                     "--resamples",
-                    "100",
+                    "200",
                 ]
             )
             == 0
         )
         comparison = json.loads(capsys.readouterr().out)
-        standard = {"resamples": 100, "seed": 20200614, "level": 0.95}
+        standard = {"resamples": 200, "seed": 20200614, "level": 0.95}
         assert {name: comparison["paired"][name] for name in ("unit", *standard)} == {"unit": unit, **standard}
         assert comparison["paired"]["signatures"] == comparison["difference"]["signatures"][::-1]
         said[frames, unit] = uncertainty["classes"]["car"]["ap"], comparison["paired"]["means"]["mds"]
@@ -148,7 +148,7 @@ def test_what_too_little_is_known_for_is_given_on_request(
 ) -> None:
     """Every interval of every metric, over 250 sequences; each says that nobody vouches for it, in text and JSON."""
     _in_sequences(benchmark, tmp_path, 2)
-    asked = ("--unit", "sequence", "--unproven", "--resamples", "100")
+    asked = ("--unit", "sequence", "--unproven", "--resamples", "200")
     assert _evaluate(tmp_path, "--intervals", *asked, "--format", "json") == 0
     document = json.loads(capsys.readouterr().out)
     means, classes = document["uncertainty"]["means"], document["uncertainty"]["classes"]
@@ -173,9 +173,9 @@ def test_what_is_proven_stays_what_it_is_among_the_unproven(
     benchmark: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Asking for more changes nothing of what is given anyway."""
-    assert _evaluate(benchmark, "--intervals", "--resamples", "100", "--format", "json") == 0
+    assert _evaluate(benchmark, "--intervals", "--resamples", "200", "--format", "json") == 0
     few = json.loads(capsys.readouterr().out)["uncertainty"]["classes"]["car"]
-    assert _evaluate(benchmark, "--intervals", "--resamples", "100", "--unproven", "--format", "json") == 0
+    assert _evaluate(benchmark, "--intervals", "--resamples", "200", "--unproven", "--format", "json") == 0
     all_of_them = json.loads(capsys.readouterr().out)["uncertainty"]["classes"]["car"]
     assert few["ap"] is not None
     assert few["yaw_sim"] is None
@@ -188,7 +188,7 @@ def test_what_is_proven_stays_what_it_is_among_the_unproven(
 def test_another_draw_level_and_method(benchmark: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """They are the library's arguments, and are said with the numbers; a wider level is wider."""
     widths = []
-    for level in ("0.5", "0.99"):
+    for level in ("0.5", "0.95"):
         options = ("--resamples", "200", "--seed", "7", "--level", level, "--method", "percentile")
         assert _evaluate(benchmark, "--intervals", *options, "--format", "json") == 0
         uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
@@ -198,7 +198,7 @@ def test_another_draw_level_and_method(benchmark: Path, capsys: pytest.CaptureFi
         widths.append(interval["upper"] - interval["lower"])
     assert widths[0] < widths[1]
     sides = [str(benchmark / name) for name in ("gt.zip", "good.zip", "bad.zip")]
-    assert main(["compare", "--gt", *sides, "--labels", "car", "--level", "0.9", "--resamples", "100"]) == 0
+    assert main(["compare", "--gt", *sides, "--labels", "car", "--level", "0.9", "--resamples", "200"]) == 0
     assert "90 % interval [-" in capsys.readouterr().out
 
 
@@ -293,14 +293,14 @@ def test_no_interval_is_given_that_resamples_do_not_bear(benchmark: Path, capsys
     """Of the detection scores of the protocol `paper` there is none on request either, and the texts say why."""
     assert (
         _evaluate(
-            benchmark, "--intervals", "--unproven", "--protocol", "paper", "--format", "json", "--resamples", "100"
+            benchmark, "--intervals", "--unproven", "--protocol", "paper", "--format", "json", "--resamples", "200"
         )
         == 0
     )
     uncertainty = json.loads(capsys.readouterr().out)["uncertainty"]
     assert {name for name, one in uncertainty["means"].items() if one} == {"map"}
     sides = [str(benchmark / name) for name in ("gt.zip", "good.zip", "bad.zip")]
-    assert main(["compare", "--gt", *sides, "--unproven", "--protocol", "paper", "--resamples", "100"]) == 0
+    assert main(["compare", "--gt", *sides, "--unproven", "--protocol", "paper", "--resamples", "200"]) == 0
     printed = capsys.readouterr().out
     assert "n/a, resamples do not scatter about the mDS of the protocol paper." in printed
     assert printed.splitlines()[-1].startswith("paper:1|")
@@ -319,3 +319,27 @@ def test_rules_can_be_changed_in_every_offline_command(benchmark: Path, capsys: 
     assert "\ncaravan " in printed
     assert main(["diagnose", "--gt", sides["gt"], sides["good"], "--min-iou", "-1"]) == 2
     assert "--min-iou" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--resamples", "0"], "--resamples must be from 200 to 10000 at --level 0.95."),
+        (["--resamples", "199"], "from 200 to"),
+        (["--resamples", "10001"], "to 10000 at"),
+        (["--level", "0.99", "--resamples", "999"], "from 1000 to"),
+        (["--level", "0.9999"], "--level must be at most 0.999"),
+        (["--level", "nan"], "must lie between 0 and 1"),
+        (["--level", "1"], "must lie between 0 and 1"),
+        (["--seed", "-1"], "whole number of 0 or more"),
+    ],
+)
+def test_draws_that_say_nothing_are_wrong_usage(
+    benchmark: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
+    """Too few resamples for the level, more than fit into memory, or no level or seed at all."""
+    assert _evaluate(benchmark, "--intervals", *options) == 2
+    assert said in capsys.readouterr().err
+    sides = [str(benchmark / name) for name in ("gt.zip", "good.zip", "bad.zip")]
+    assert main(["compare", "--gt", *sides, "--labels", "car", *options]) == 2
+    assert said in capsys.readouterr().err
