@@ -71,6 +71,9 @@ def _are_plain(table: NDArray[np.void], limits: Limits) -> bool:
     method, packed, expanded = table["method"], table["packed"], table["expanded"]
     plain = (table["flags"] & ~np.uint16(FLAG_UTF8)) == 0
     plain &= (method == DEFLATED) | ((method == STORED) & (packed == expanded))
+    plain &= (
+        table["name"] <= limits.name_bytes
+    )  # also where nobody looks at names: what is done with them may cost more
     plain &= (table["extra"] == 0) & (table["comment"] == 0) & (table["disk"] == 0)
     plain &= np.isin(table["attributes"] >> 16 & 0xF000, list(UNIX_TYPES))
     plain &= (

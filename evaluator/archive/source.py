@@ -119,11 +119,18 @@ def open_archive(
         yield None
         return
     with file:
-        size = os.fstat(file.fileno()).st_size
-        if mapped and 0 < size <= small_bytes:
-            yield mmap(file.fileno(), size, access=ACCESS_READ)
+        if os.fstat(file.fileno()).st_size > small_bytes:
+            yield FileBytes(file.fileno())
         else:
-            yield file.read() if size <= small_bytes else FileBytes(file.fileno())
+            yield _mapped(file) if mapped else file.read()
+
+
+def _mapped(file: BinaryIO) -> Archive:
+    """Map a file; an empty one, which cannot be mapped, is read."""
+    try:
+        return mmap(file.fileno(), 0, access=ACCESS_READ)
+    except ValueError:
+        return file.read()
 
 
 def _open_regular(path: Path) -> BinaryIO:

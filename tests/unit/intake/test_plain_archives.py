@@ -46,6 +46,16 @@ def test_the_glance_suffices_for_a_plain_archive() -> None:
     assert _checked(PLAIN) == _checked_carefully(PLAIN) == (members[1:], _checked(PLAIN)[1])
 
 
+@pytest.mark.parametrize("checked_elsewhere", [False, True])
+def test_a_name_that_is_too_long_takes_a_closer_look(checked_elsewhere: bool) -> None:  # noqa: FBT001 - a parameter
+    """Even where names are left to another process: finding the image of one takes longer the longer it is."""
+    for length, found in ((DEFAULT_LIMITS.name_bytes, 1), (DEFAULT_LIMITS.name_bytes + 1, 0)):
+        short = [Entry(name=b"%d.json" % number, data=b"{}") for number in range(20)]
+        archive = write_zip([Entry(name=b"_" * length, data=b"{}"), *short])
+        members = plain_members(archive, find_directory(archive), DEFAULT_LIMITS, checked_elsewhere=checked_elsewhere)
+        assert len(members) == 21 * found
+
+
 @pytest.mark.parametrize("path", ARCHIVES, ids=lambda path: f"{path.parent.name}-{path.name.split('.')[0]}")
 def test_both_looks_find_the_same_in_the_corpus(path: Path) -> None:
     """Members and report of every archive of the corpus do not depend on the glance."""
